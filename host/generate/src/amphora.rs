@@ -66,7 +66,7 @@ fn handle(turned: bool) -> Sweep<RopeRelief> {
 struct Band {
     /// Start and end, as distances along the profile.
     range: [f64; 2],
-    /// How often the tile fits around the body, and across the band.
+    /// Number of tiles around the body, and across the band.
     repeats: [f64; 2],
     /// Height of the ornament; negative where it is engraved.
     depth: f64,

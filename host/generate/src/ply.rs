@@ -124,7 +124,7 @@ pub fn write_ply(
     Ok(GeneratedInfo { vertices: surface.vertices(), faces: format.faces, bytes })
 }
 
-/// How one model is encoded.
+/// Encoding of one model.
 struct PlyFormat<'a> {
     options: &'a ModelOptions,
     header: String,
@@ -237,7 +237,7 @@ impl<'a> PlyFormat<'a> {
     }
 }
 
-/// Where the numbers of one element go.
+/// Writer of the numbers of one element in an encoding.
 trait Sink {
     fn float(&mut self, x: f32);
     fn double(&mut self, x: f64);

@@ -1,4 +1,4 @@
-//! How the small details of a surface turn against the smooth surface beneath them.
+//! Rotation of the small details of a surface against the smooth surface beneath them.
 //!
 //! M. Botsch, O. Sorkine, *On linear variational surface deformation methods*, IEEE TVCG 2008, judge methods
 //! by whether details turn along with the surface. As a figure: the mesh is smoothed by weights that are
@@ -18,7 +18,7 @@ use super::triangle::{corners, cross, key, pair, sides, sorted};
 pub struct Details<'a> {
     rest: &'a [DVec3],
     triangles: &'a [[u32; 3]],
-    /// Where each vertex' neighbours begin, and all of them.
+    /// Index of each vertex' first neighbour, and (`neighbours`) the neighbours of all vertices.
     first: Vec<u32>,
     neighbours: Vec<u32>,
     /// Walks of the steps that smooth once, and of twice as many.
@@ -62,7 +62,7 @@ impl<'a> Details<'a> {
         };
         let mut edges = sorted(sides().flat_map(both_ways).filter(|[a, b]| a != b));
         edges.dedup();
-        // How many each vertex has, added up.
+        // Index of each vertex' first neighbour: the numbers of neighbours, added up.
         let mut first = vec![0; rest.len() + 1];
         edges.iter().for_each(|edge| first[pair(*edge)[0] as usize + 1] += 1);
         (1..first.len()).for_each(|i| first[i] += first[i - 1]);
@@ -248,7 +248,7 @@ struct SmoothingSteps {
 }
 
 impl SmoothingSteps {
-    /// What is less than this part of all is left out.
+    /// Share of the whole below which a polynomial is left out.
     const LEAST: f64 = 1e-19;
 
     fn new(steps: u32) -> Self {

@@ -1,6 +1,6 @@
-//! How far surfaces are from each other: the Hausdorff distance and the root mean square, one way and both
-//! (P. Cignoni, C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics
-//! Forum 1998), from the vertices of one mesh to the triangles of the other.
+//! Distances between surfaces: the Hausdorff distance and the root mean square, one way and both (P. Cignoni,
+//! C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics Forum 1998),
+//! from the vertices of one mesh to the triangles of the other.
 //!
 //! As vertices alone are looked at, the Hausdorff distance is a lower bound: between its vertices a surface
 //! can be farther away, by no more than its longest edges.
@@ -18,7 +18,7 @@ const BLOCK: usize = 1 << 14;
 /// Points that one thread looks up one after the other.
 const ROW: usize = 1 << 9;
 
-/// How far the points of a surface are from another one, in the positions' unit.
+/// Distances of the points of a surface from another one, in the positions' unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Distances {
     /// Root of the mean square over the surface: each vertex stands for a third of its triangles' area.
@@ -40,7 +40,7 @@ pub struct DistanceSurface {
 /// A point of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OnSurface {
-    /// Which of the triangles it is on.
+    /// Index of the triangle that the point is on.
     pub triangle: u32,
     /// Weights of the triangle's corners, at least 0, which add up to 1.
     pub weights: DVec3,
@@ -91,8 +91,8 @@ impl DistanceSurface {
         Some(self.facets[facet].on_surface(point))
     }
 
-    /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
-    /// side; of several triangles there, the first one.
+    /// First point at which a ray of a finite origin and direction, which is not zero, meets the surface,
+    /// from either side; on the first one of several triangles there.
     pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
         let mut first = None::<(f64, &TreeTriangle)>;
         self.tree.on_ray(origin, direction, |place| {
@@ -105,8 +105,8 @@ impl DistanceSurface {
         first.map(|(t, facet)| facet.on_surface(origin + t * direction))
     }
 
-    /// How far another surface is from this one: the corners of its triangles. All 0 for one without any.
-    /// Begins no stage of the progress, and advances it by the positions.
+    /// Distances of another surface, taken at the corners of its triangles, from this one. All 0 for a
+    /// surface without triangles. Begins no stage of the progress, and advances it by the positions.
     ///
     /// # Errors
     /// The user cancelled.
@@ -157,8 +157,8 @@ impl TreeTriangle {
     }
 }
 
-/// How far along a ray it meets a triangle, in lengths of the direction: by the volumes that the ray spans
-/// with the sides (T. Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
+/// Distance along a ray to a triangle, in lengths of the direction: by the volumes that the ray spans with
+/// the sides (T. Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
 fn meets([a, b, c]: [DVec3; 3], origin: DVec3, direction: DVec3) -> Option<f64> {
     let (u, v) = (b - a, c - a);
     let across = direction.cross(v);

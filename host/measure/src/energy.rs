@@ -26,11 +26,11 @@ pub struct Energies {
     pub symmetric_dirichlet_max: f64,
     /// Triangles of which no area is left, which would have an infinite one.
     pub collapsed: usize,
-    /// How lengths, areas and distortions are spread.
+    /// Histograms of lengths, areas and distortions.
     pub histograms: Histograms,
 }
 
-/// How amounts are spread over a mesh.
+/// Histograms of amounts over a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histograms {
     /// Edges, by the binary logarithm of their length over that at rest.
@@ -44,15 +44,15 @@ pub struct Histograms {
 /// Counts between two numbers, in bins of equal width.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Bins {
-    /// Where the first bin begins.
+    /// Lower end of the first bin.
     pub from: i32,
-    /// Where the last one ends.
+    /// Upper end of the last bin.
     pub to: i32,
     /// The number of values below the first bin.
     pub below: usize,
-    /// What is in each bin.
+    /// Number of values in each bin.
     pub counts: Vec<usize>,
-    /// What is above, or infinite.
+    /// Number of values above the last bin, or infinite.
     pub above: usize,
 }
 
@@ -199,7 +199,8 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
             break;
         }
     }
-    // What the other eigenvalues lack, multiplied, which rows of the adjugate are long by.
+    // Product of the greatest eigenvalue's distances from the others, by which the rows of the adjugate are
+    // long.
     if slope.is_nan() || slope <= APART * size * squares {
         return None;
     }
@@ -273,7 +274,7 @@ mod tests {
             found += 1;
         }
         assert!(found > 1000, "{found}");
-        // Where directions tell nothing, nothing is made up.
+        // Matrices that determine no rotation give none.
         let nothing = DMat3::ZERO;
         assert_eq!(quickly(&nothing, &horn_matrix(nothing)), None);
         let mirror = DMat3::from_diagonal(DVec3::splat(-1.0));

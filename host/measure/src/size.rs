@@ -15,8 +15,9 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     all.map(|c| c.map(|p| p - origin)).map(|[a, b, c]| a.cross(b).dot(c)).sum::<f64>() / 6.0
 }
 
-/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of
-/// another, the other way round. That much a mesh may lack that was made of a closed one by joining vertices.
+/// Whether a mesh holds a volume: all sides of triangles, but for one in a hundred, are also sides of another
+/// triangle, the other way round. A mesh may lack that many where it was made of a closed one by joining
+/// vertices.
 pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     let going = |up: bool| {
         let sides = sides(triangles.iter().copied()).filter(|[a, b]| (a < b) == up);

@@ -202,7 +202,7 @@ impl Discs {
         (self.thickness[lane], self.radius[lane]) = (thickness, radius);
     }
 
-    /// How far a point is from the planes, and from the axes.
+    /// Distances of a point from the discs' planes, and from their axes.
     #[inline]
     fn place(&self, p: Vec3) -> [Vec4; 2] {
         let way: [Vec4; 3] = std::array::from_fn(|axis| Vec4::splat(p[axis]) - self.middle[axis]);
@@ -250,7 +250,7 @@ impl RayBoxes {
             let at = |x: f32| (f64::from(x) - self.origin[axis]) * self.inverse[axis];
             let low = at(node.low[axis][lane] - UnitCube::ROUNDING);
             let high = at(node.high[axis][lane] + UnitCube::ROUNDING);
-            // Where the ray lies in a side's plane, which gives no number, that side says nothing.
+            // A ray that lies in the plane of a side gives NaN, and that side bounds nothing.
             if !(low.is_nan() || high.is_nan()) {
                 (enter, leave) = (enter.max(low.min(high)), leave.min(low.max(high)));
             }
@@ -260,7 +260,7 @@ impl RayBoxes {
     }
 }
 
-/// How many triangles each part of so many has: all parts but the last are full, or have full ones below.
+/// Number of triangles of each part of so many: all parts but the last are full, or have full ones below.
 fn sizes(triangles: usize) -> [usize; PARTS] {
     if triangles <= PARTS {
         return std::array::from_fn(|i| usize::from(i < triangles));
@@ -273,7 +273,7 @@ fn sizes(triangles: usize) -> [usize; PARTS] {
     [a, b, c, d]
 }
 
-/// How many nodes the tree of so many triangles has.
+/// Number of nodes of the tree of so many triangles.
 fn nodes_of(triangles: usize) -> usize {
     let below = sizes(triangles).into_iter().filter(|size| *size > 1);
     1 + below.map(nodes_of).sum::<usize>()

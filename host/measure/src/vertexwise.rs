@@ -9,7 +9,7 @@ use simod_model::bounds::Bounds;
 use simod_model::histogram::Histogram;
 use simod_model::{Model, Progress, Result, Vertices, in_ranges};
 
-/// How far the vertices of two versions of a model are from each other. Lengths are fractions of a diagonal.
+/// Distances between the vertices of two versions of a model. Lengths are fractions of a diagonal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Difference {
     /// Vertices compared: those with a finite position in both.
@@ -113,7 +113,7 @@ impl LaneSums {
     }
 }
 
-/// What is known of a pair so far.
+/// Sums over the vertices of a pair of versions that were read so far.
 #[derive(Default)]
 struct PairSums {
     histogram: Histogram,
@@ -149,7 +149,7 @@ impl WithSimd for BlockBox<'_> {
     }
 }
 
-/// How far the vertices of a block are from each other; the squares are added to the lanes.
+/// Distances between the vertices of two blocks, times a factor; their squares are added to the lanes.
 struct BlockDistances<'a>([&'a VertexBlock; 2], f64, &'a mut LaneSums);
 
 impl WithSimd for BlockDistances<'_> {
@@ -266,7 +266,7 @@ impl PairSums {
     }
 }
 
-/// Whether a normal is one.
+/// Whether a normal has a direction: a length above 0 that is finite.
 #[inline]
 fn is_direction(n: Vec3) -> bool {
     let square = n.length_squared();
@@ -293,7 +293,7 @@ fn angle(a: DVec3, b: DVec3) -> f64 {
     if along < 0.0 { std::f64::consts::PI - angle } else { angle }
 }
 
-/// What is known of all versions in a range of vertices.
+/// Figures of all versions in a range of vertices.
 #[derive(Default)]
 struct RangeFigures {
     bounds: Vec<Bounds>,

@@ -59,8 +59,8 @@ impl PictureCamera {
         Self { position: target - forward * distance, right, up, forward, target, radius, tangents }
     }
 
-    /// This view of a part of the picture, from as far away: that around a point, or the middle, `part` as
-    /// wide and high as the whole.
+    /// Returns this view of a part of the picture, from as far away: the part around a point, or the middle,
+    /// `part` as wide and high as the whole.
     pub(super) fn crop(self, around: Option<DVec3>, part: f64) -> Self {
         let way = around.map_or(DVec3::ZERO, |point| point - self.target);
         let aside = way - way.dot(self.forward) * self.forward;
@@ -77,7 +77,7 @@ impl PictureCamera {
         self.position.distance(self.target)
     }
 
-    /// This view from so far away, where it was nearer by more than rounding.
+    /// Returns this view from this distance, where the view was nearer by more than rounding.
     pub(super) fn at_least(self, distance: f64) -> Self {
         if self.distance() >= distance * (1.0 - 1e-9) {
             return self;
@@ -85,8 +85,8 @@ impl PictureCamera {
         Self { position: self.target - self.forward * distance, ..self }
     }
 
-    /// Where a picture of the given size shows a point: pixels from the top left corner; none where the point
-    /// is not before the camera.
+    /// Position of a point in a picture of the given size: pixels from the top left corner; none where the
+    /// point is not before the camera.
     pub fn project(&self, p: DVec3, width: u32, height: u32) -> Option<[f32; 2]> {
         let (lens, view) = (self.lens(width, height), self.to_view(p));
         (view.is_finite() && view.z > lens.near).then(|| lens.project(view))

@@ -16,8 +16,9 @@ pub struct CutOut {
 }
 
 impl CutOut {
-    /// What is before the background of two pictures, which is black in one and white in the other; nothing
-    /// where they are not of one size. Borders that were averaged in linear light are exact but for rounding.
+    /// Cuts the foreground out of two pictures that differ in their background, which is black in one and
+    /// white in the other; none where they are not of one size. Borders that were averaged in linear light
+    /// are exact but for rounding.
     pub fn from_backgrounds(black: &Image, white: &Image) -> Option<Self> {
         let (width, height) = (black.width(), black.height());
         let same = (width, height) == (white.width(), white.height());

@@ -19,7 +19,7 @@ const LEAST_WEIGHT: f32 = 1e-4;
 
 /// A triangle in the picture.
 struct PictureTriangle {
-    /// Where the corners are shown: as far outside as they like.
+    /// Positions of the corners in the picture, in samples; they may be far outside it.
     corners: [DVec2; 3],
     /// One over twice the area, in samples; of either sign, and infinite where there is none.
     by_area: f64,
@@ -27,7 +27,7 @@ struct PictureTriangle {
     inverse: [f32; 3],
     normals: [Vec3; 3],
     colors: [Vec3; 3],
-    /// How far two depths of one surface may be from each other at a sample, for each unit of depth.
+    /// Largest distance of two depths of one surface from each other at a sample, for each unit of depth.
     slack: f32,
     weight: f32,
     /// The samples within its box: columns and rows, each from the first to beyond the last.
@@ -111,9 +111,9 @@ impl PictureTriangle {
         (self.rows[0]..self.rows[1]).any(|y| (left..right).any(|x| self.shares(x, y).is_some()))
     }
 
-    /// How much each corner has of a sample's middle, as the picture shows it; none where it is outside. The
-    /// sides belong to both triangles there, and a little more than that, so that nothing shines through
-    /// between.
+    /// Barycentric coordinates of a sample's middle in the triangle, as the picture shows it; none where the
+    /// middle is outside. The sides belong to both triangles there, and a little more than that, so that
+    /// nothing shines through between.
     #[inline]
     fn shares(&self, x: usize, y: usize) -> Option<[f32; 3]> {
         const SLACK: f64 = -1e-7;

@@ -74,7 +74,7 @@ impl Ground {
         self
     }
 
-    /// How dark the ground is at a point of it, from 0 to 1.
+    /// Darkness of the ground at a point of it, from 0 to 1.
     pub fn shadow(&self, p: DVec3) -> f32 {
         let x = (p.x - self.corner.x) / self.cell - 0.5;
         let z = (p.z - self.corner.z) / self.cell - 0.5;

@@ -18,13 +18,13 @@ use super::{Renderer, Spacing, SurfaceDisc};
 /// Bytes of vertices that are held in memory; more than that are in a file.
 const HELD: u64 = 64 << 20;
 
-/// What to do where the disk has no room.
+/// Advice where the disk has no room.
 const ADVICE: &str = "draw the vertices alone, with --points";
 
 /// The cosine of an angle beyond which two directions are on both sides of a crease.
 const CREASE: f32 = 0.7;
 
-/// What is kept of a vertex.
+/// Vertex as it is kept for drawing.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct VertexRecord {
@@ -60,8 +60,8 @@ impl VertexRecords {
     }
 }
 
-/// Whether points that no triangle has are drawn: where they are a tenth of all, or more. A few are strays,
-/// which as discs on a surface would be flaws.
+/// Whether points that no triangle has are drawn: they are, where they are a tenth of all points, or more.
+/// Fewer are strays, which as discs on a surface would be flaws.
 pub(super) fn are_many(alone: usize, all: usize) -> bool {
     alone > 0 && alone >= all.div_ceil(10)
 }
@@ -221,7 +221,7 @@ impl<'a> DrawnMesh<'a> {
     }
 
     fn triangle(&self, records: &[VertexRecord], triangle: [u32; 3], up: UpAxis) -> [SurfaceDisc; 3] {
-        // Where there is no vertex, there is no finite position.
+        // An index without a vertex gets a corner without a finite position.
         let nowhere = VertexRecord { position: [f32::NAN; 3], ..VertexRecord::zeroed() };
         let mut corners = triangle.map(|i| self.point(records.get(i as usize).unwrap_or(&nowhere), up));
         if self.derived {

@@ -47,7 +47,7 @@ pub fn class_color(class: u8) -> [u8; 3] {
     CLASSES[usize::from(class) % CLASSES.len()].0
 }
 
-/// What the specification calls a class, if it does.
+/// Name of a class in the specification, if it has one.
 pub fn class_name(class: u8) -> Option<&'static str> {
     CLASSES.get(usize::from(class)).map(|(_, name)| *name)
 }

@@ -19,7 +19,8 @@ use super::{Image, Paint, PictureCamera, Spacing, SurfaceDisc};
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
 
-/// How much wider discs are of points that were chosen by chance: there is more room between some of them.
+/// Factor by which discs of points that were chosen by chance are wider: there is more room between some of
+/// them.
 const UNEVEN: f32 = 1.5;
 
 /// Takes the pictures of a turn, one after the other.
@@ -112,7 +113,7 @@ fn with_paint<T>(paint: &Paint, draw: impl FnOnce(Painted<'_>) -> Result<T>) -> 
     draw(paint.is_colored().then_some((paint.count(), &by_attributes)))
 }
 
-/// What is drawn, from wherever.
+/// Model that is drawn, from any place.
 enum ShownModel<'a> {
     Mesh(Box<DrawnMesh<'a>>, bool),
     Points(&'a [&'a dyn Model], Spacing, Painted<'a>),

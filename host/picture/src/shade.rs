@@ -17,7 +17,7 @@ const CLAY: Vec3 = Vec3::new(0.56, 0.51, 0.46);
 const OCCLUSION_SAMPLES: usize = 28;
 /// Side of the square of neighbouring samples that share the work, and are averaged afterwards.
 const OCCLUSION_TILE: usize = 4;
-/// How far the occlusion reaches, as a share of the model's radius.
+/// Reach of the occlusion, as a share of the model's radius.
 const OCCLUSION_REACH: f32 = 0.13;
 
 /// Lights all samples, in each of some colours of theirs; linear colours, row by row.
@@ -112,9 +112,9 @@ impl SeenSurface {
         if normal.dot(here) > 0.0 { -normal } else { normal }
     }
 
-    /// How much light of the surroundings each sample gets, from 0 to 1: what rises above its tangent plane
-    /// nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance Algorithm*,
-    /// HPG 2011), on a spiral that is turned from sample to sample.
+    /// Light of the surroundings that each sample gets, from 0 to 1: surface that rises above the sample's
+    /// tangent plane nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance
+    /// Algorithm*, HPG 2011), on a spiral that is turned from sample to sample.
     fn occlusion(&self, reach: f32) -> Vec<f32> {
         let spirals = spirals();
         (0..self.depths.len())
@@ -136,7 +136,7 @@ impl SeenSurface {
                         let way = there - here;
                         let distance = way.length();
                         if distance > 0.0 {
-                            // What is far away in depth hides nothing here.
+                            // Surface that is far away in depth hides nothing here.
                             let near = (1.0 - distance / (1.5 * reach)).max(0.0);
                             sum += (normal.dot(way) / distance - 0.06).max(0.0) * near;
                         }

@@ -1,4 +1,4 @@
-//! How far apart the points of a model are, from place to place.
+//! Spacing of a model's points, from place to place.
 
 use std::sync::OnceLock;
 

@@ -19,8 +19,8 @@ const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
-/// What the picture shows at each sample, before it is lit. Splats are always drawn by the same memory: to
-/// get it anew takes the system longer than to fill it.
+/// Surface that the picture shows at each sample, before it is lit. Splats are always drawn by the same
+/// memory: to get it anew takes the system longer than to fill it.
 ///
 /// Memory: 48 bytes for each sample, and some 130 for each splat of a batch, 8 MB at most.
 pub(super) struct SplatBuffer {
@@ -61,7 +61,7 @@ impl Pixel {
         self.nearest = self.nearest.min(depth);
     }
 
-    /// Whether a depth is that of the nearest surface, or no farther behind it than so.
+    /// Whether a depth is that of the nearest surface, or behind it by no more than `behind`.
     #[inline]
     pub fn is_near(&self, depth: f32, behind: f32) -> bool {
         self.nearest.is_finite() && depth <= self.nearest + behind
@@ -119,10 +119,10 @@ struct ViewSplat {
     rows: [usize; 2],
 }
 
-/// How much of splats is drawn.
+/// Part of the splats that is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum SplatDetail {
-    /// What hides what is behind it, in any order.
+    /// The part that hides what is behind it, drawn in any order.
     Hiding,
     All,
 }
@@ -209,9 +209,9 @@ impl ViewSplat {
     }
 }
 
-/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a
-/// share of its radius: a point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the
-/// middle.
+/// Distance from a disc's middle, on the picture's plane, up to which the disc, in view coordinates, is seen
+/// within a share of its radius: a point that is off by w, at a depth of z, lies within |w| |c| / z, where c
+/// is the middle.
 fn hiding_reach(center: Vec3, radius: f32, share: f32) -> f32 {
     const ROUNDING: f32 = 1.01;
     let nearest = center.z - share * radius;
@@ -327,7 +327,7 @@ impl SplatBuffer {
                     }
                 };
                 match drawn {
-                    // What is seen from the front hides most of what is not.
+                    // Discs that are seen from the front hide most of those that are not.
                     SplatDetail::Hiding => {
                         all().filter(|splat| !splat.from_back).for_each(&mut show);
                         all().filter(|splat| splat.from_back).for_each(show);
@@ -395,7 +395,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// What the first pass leaves out, and the order in which it draws, changes nothing.
+    /// The discs that the first pass leaves out, and the order in which it draws, change nothing.
     #[test]
     fn the_nearest_surface_is_that_of_whole_discs_in_any_order() {
         let number = |i: u32, k: f64| (f64::from(i) * k).sin();

@@ -19,7 +19,7 @@ pub struct PictureView {
     pub size: [u32; 2],
     /// The axis of the model that points up.
     pub up: UpAxis,
-    /// What of it is shown.
+    /// Part of the view that is shown.
     pub crop: Crop,
 }
 

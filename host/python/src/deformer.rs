@@ -16,7 +16,7 @@ use crate::errors::OrRaise;
 use crate::work::keep_raised;
 use crate::{arrays, plugins};
 
-/// What `simod.deformer` found out of a function.
+/// Description of a function as `simod.deformer` found it out.
 #[derive(Deserialize)]
 struct FunctionDescription {
     id: String,
@@ -67,7 +67,7 @@ pub fn register(py: Python<'_>, function: Py<PyAny>, description: &str) -> PyRes
     py.detach(|| Plugin::of_host(Box::new(code)).map(plugins::put)).or_raise(py)
 }
 
-/// What a call of the function needs beside the points, all in model coordinates.
+/// Inputs of a call of the function beside the points, all in model coordinates.
 struct CallInputs {
     frame: ModelFrame,
     /// Role and weights of each region.
@@ -226,7 +226,7 @@ impl Code for Function {
         for (((out, local), rest), moved) in
             out.iter_mut().zip(input.samples.positions()).zip(rest).zip(moved)
         {
-            // What the function left where it was stays to the bit.
+            // A point that the function left where it was stays to the bit.
             *out = if moved == rest { *local } else { frame.to_local(moved.into()).map(|x| x as f32) };
         }
         Ok(())

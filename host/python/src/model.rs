@@ -61,7 +61,7 @@ impl Model {
         &self.path
     }
 
-    /// What is known without reading the vertices: a `simod.Info`.
+    /// Info on the model that is known without reading the vertices: a `simod.Info`.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let ModelInfo { format, vertices, faces, has_normals, bytes, crs, .. } = &self.info;

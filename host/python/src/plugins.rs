@@ -9,7 +9,7 @@ use simod_session::{Plugin, PluginOptions, PluginRegistry, param_data};
 
 use crate::work::locked;
 
-/// What there is, once it was looked for.
+/// Plugins that were found, once they were looked for.
 static FOUND: Mutex<Option<Arc<PluginRegistry>>> = Mutex::new(None);
 
 /// Python functions, by which a plugin of the same id is not seen.
@@ -46,7 +46,7 @@ pub fn put(plugin: Plugin) {
     *locked(&FOUND) = None;
 }
 
-/// What all plugins say of themselves, as JSON.
+/// Descriptions of all plugins, as JSON.
 #[pyfunction(name = "_plugin_data")]
 pub fn plugin_data(py: Python<'_>) -> PyResult<String> {
     let plugins = registry(py)?;

@@ -41,7 +41,7 @@ pub struct Samples {
     of_file: bool,
 }
 
-/// How the samples are at a time.
+/// State of the samples at a time.
 struct SamplesState {
     now: UndoMoment,
     rest: Py<PyArray2<f64>>,
@@ -50,12 +50,12 @@ struct SamplesState {
     future: Vec<UndoMoment>,
 }
 
-/// What undo goes back to.
+/// State of the samples that undo goes back to.
 #[derive(Clone)]
 struct UndoMoment {
     sampled: Arc<SampledModel>,
-    /// Local positions, which are exact, and what they are in the model's coordinates: what is still so in
-    /// the array was not moved by anybody else.
+    /// Local positions, which are exact, and (`points`) the same in the model's coordinates: a point of the
+    /// array that still has these coordinates was not moved by anybody else.
     local: Arc<[Vec3]>,
     points: Arc<[DVec3]>,
     /// The names of the steps that led here.
@@ -68,7 +68,7 @@ impl UndoMoment {
         Self { sampled, local, points, steps }
     }
 
-    /// Where the samples are. Near, local positions are exact.
+    /// Positions of the samples. Near the model's place at rest, local positions are exact.
     fn deformed(&self) -> DeformedPositions {
         let SampledModel { frame, samples, .. } = &*self.sampled;
         let far = DeformedPositions::new(frame, &samples.positions, &self.points);
@@ -104,7 +104,7 @@ impl SamplesState {
         Ok(bytemuck::cast_slice(points.as_slice()?).to_vec())
     }
 
-    /// How the samples are now, whoever moved them.
+    /// State of the samples now, whoever moved them.
     fn look(&self, py: Python<'_>) -> PyResult<UndoMoment> {
         let points = self.read(py)?;
         let local = self.now.local_of(&points).or_raise(py)?;
@@ -126,7 +126,7 @@ impl SamplesState {
     }
 }
 
-/// Where samples are at rest.
+/// Positions of the samples at rest, as an array in model coordinates.
 fn rest(py: Python<'_>, sampled: &SampledModel) -> PyResult<Py<PyArray2<f64>>> {
     let points = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
     let rest = arrays::of_points(py, points)?;
@@ -202,25 +202,27 @@ impl Samples {
     }
 }
 
-/// What an argument is called in a session.
+/// Puts an argument that is given into a table, under the name that a session has for it.
 fn add(to: &Bound<'_, PyDict>, name: &str, given: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
     let Some(given) = given.filter(|given| !given.is_none()) else { return Ok(()) };
-    // What can be gone over once only is looked at twice.
+    // An iterator, which can be gone over once only, is looked at twice, and becomes a list.
     to.set_item(name, given.try_iter()?.collect::<PyResult<Vec<_>>>()?)
 }
 
 #[pymethods]
 impl Samples {
-    /// Where the samples are at rest: shape (N, 3), float64, model coordinates. Nobody may write to it.
+    /// Positions of the samples at rest: shape (N, 3), float64, model coordinates. Nobody may write to the
+    /// array.
     #[getter]
     fn rest<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         self.state(py).rest.bind(py).clone()
     }
 
-    /// Where the samples are now: shape (N, 3), float64, model coordinates. Write to it to deform the model.
+    /// Positions of the samples now: shape (N, 3), float64, model coordinates. Write to the array to deform
+    /// the model.
     ///
-    /// It is the same array until `refine` appends samples, and undoing that takes them away. Assigning to
-    /// `samples.points` copies into it.
+    /// The array is the same until `refine` appends samples, or undoing that takes them away. Assigning to
+    /// `samples.points` copies into the array.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         self.state(py).points.bind(py).clone()

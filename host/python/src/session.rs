@@ -44,7 +44,7 @@ impl Session {
         self.file.model.as_deref()
     }
 
-    /// Where it says that the result goes, if it does.
+    /// Path of the result that the session names, if it does.
     #[getter]
     fn output(&self) -> Option<&Path> {
         self.file.output.as_deref()
@@ -128,7 +128,7 @@ impl Session {
     }
 }
 
-/// What is told of a run, with the error that was measured beside the exact deformation.
+/// Report on a run, with the error that was measured beside the exact deformation.
 fn report(run: &Run, error: Option<TransferError>) -> Value {
     let folded = run.written.folding.first().copied().flatten().map_or(0, |f| f.samples);
     let error = error

@@ -14,7 +14,7 @@ use toml::{Table, Value};
 
 use crate::errors::{OrRaise, argument};
 
-/// What a region says instead of shapes: an array of truth values, one for each sample.
+/// Key of a region that has, instead of shapes, an array of truth values, one for each sample.
 const WHERE: &str = "where";
 
 /// Reads one step; `positions` are those of the samples now, in the model's coordinates, for regions that are
@@ -56,7 +56,7 @@ fn masks(step: &Bound<'_, PyDict>, table: &mut Table, samples: usize) -> PyResul
         };
         let mask = step.py().import("simod._arrays")?.getattr("mask")?.call1((given, samples))?;
         masks.push(Some(mask.extract()?));
-        // What the reader of sessions asks for.
+        // A shape that the reader of sessions asks for; the samples picked take its place later.
         let origin = Value::Array(vec![Value::Float(0.0); 3]);
         let sphere =
             Table::from_iter([("center".to_owned(), origin), ("radius".to_owned(), Value::Float(1.0))]);

@@ -102,7 +102,7 @@ pub fn comparison_plan(
     Ok(described(plan.output(), &folder.display().to_string(), plan.units()))
 }
 
-/// What Python asks of a plan, as JSON; plans of which `sampled` is the same take the same samples.
+/// Properties of a plan for Python, as JSON; plans of which `sampled` is the same take the same samples.
 fn described(output: &Path, sampled: &str, units: &[Unit]) -> String {
     let units: Vec<_> =
         units.iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();

@@ -25,7 +25,7 @@ static ENDING: AtomicBool = AtomicBool::new(false);
 /// The process that has the threads of the pool; 0 where nobody asked for them yet.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
-/// What a Python function raised last, that was called by work.
+/// Exception that a Python function called by work raised last.
 static RAISED: Mutex<Option<PyErr>> = Mutex::new(None);
 
 /// Keeps what a function raised, to be the cause of what the work comes to.
@@ -110,7 +110,7 @@ pub fn stop_all(py: Python<'_>) {
     });
 }
 
-/// What `progress` of a function means: a function, or nothing.
+/// Listener that the argument `progress` of a function means: a function, or none.
 fn listener<'py>(progress: Option<&Bound<'py, PyAny>>) -> PyResult<Option<Bound<'py, PyAny>>> {
     let Some(progress) = progress.filter(|p| !p.is_none()) else { return Ok(None) };
     if let Ok(wanted) = progress.extract::<bool>() {
@@ -136,7 +136,7 @@ impl Finish {
         self.changed.notify_all();
     }
 
-    /// Whether it is over, after a while at most.
+    /// Whether the result is there, after a while at most.
     fn wait(&self) -> bool {
         let is_over = locked(&self.is_over);
         let waited = self.changed.wait_timeout_while(is_over, TICK, |over| !*over);
@@ -232,7 +232,7 @@ fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// What a mutex holds, whatever became of the thread that held it last.
+/// Locks a mutex, whatever became of the thread that held it last.
 pub fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -31,7 +31,7 @@ pub enum End {
 pub struct Outcome {
     /// The process's end.
     pub end: End,
-    /// What it printed on standard output, its end.
+    /// The end of what the process printed on standard output.
     pub output: String,
     /// The last line that it printed on standard error; may be empty.
     pub last_error: String,
@@ -71,7 +71,8 @@ pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Res
     Ok(Outcome { end, output, last_error })
 }
 
-/// Whether a process that printed this had no more memory: what Rust, C++ and Python say before they give up.
+/// Whether a process that printed this ran out of memory: Rust, C++ and Python print one of these texts
+/// before they give up.
 pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
     ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|text| errors.contains(text))
 }
@@ -115,7 +116,7 @@ impl Tail {
     }
 }
 
-/// How a process ended, to complete a sentence.
+/// End of a process in words, to complete a sentence.
 #[cfg(unix)]
 pub(crate) fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
@@ -169,8 +170,8 @@ pub fn end_with(parent: u32) {
 /// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the
 /// disk when it crashes. On Linux; other systems have no such limits.
 ///
-/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are
-/// not used, the arenas of the C library.
+/// Memory that threads reserve comes on top: their stacks, and for all addresses, which also count where they
+/// are not used, the arenas of the C library.
 #[cfg(target_os = "linux")]
 pub fn limit_memory(bytes: u64) -> Result<()> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -222,7 +223,7 @@ mod tests {
         assert!(matches!(shell("kill -11 $$").end, End::Badly(how) if how.starts_with("ended by signal 11")));
         let dry = "echo 'memory allocation of 8 bytes failed' >&2; exit 1";
         assert!(matches!(shell(dry).end, End::OutOfMemory));
-        // What is too much to keep does not stop the process.
+        // Output that is too much to keep does not stop the process.
         assert!(shell("yes | head -c 1000000").output.len() <= 2 * KEPT);
     }
 }

@@ -23,7 +23,7 @@ pub struct DeformedSamples {
     pub normals: Vec<Vec3>,
     /// The exact map, where all plugins know it.
     pub stack: PreparedStack,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
 }
 

@@ -33,10 +33,10 @@ impl Key {
     }
 }
 
-/// What a key can be of. What differs is added as different bytes: lengths before lists and texts, a number
+/// Content of a key. Different content is added as different bytes: lengths before lists and texts, a number
 /// before each case.
 pub trait Keyed {
-    /// Adds all of it.
+    /// Adds all of the content to the key.
     fn add_to(&self, key: &mut Key);
 }
 

@@ -117,7 +117,7 @@ fn changes(before: &toml::Table, after: &toml::Table) -> String {
     }
 }
 
-/// What the plugin makes of parameters.
+/// Returns the plugin's parameters of now for those of an older state version.
 fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result<toml::Table> {
     let call = format!("plugin {}: state version {from} to {now}", plugin.id());
     let settings = params.iter().map(|(id, value)| {
@@ -154,7 +154,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     Ok(table)
 }
 
-/// Whether what a plugin gives is no more than anybody needs.
+/// Whether the number and lengths of the settings that a plugin gives are within the limits.
 fn check(settings: &[Setting]) -> std::result::Result<(), String> {
     if settings.len() > limits::LONGEST_LIST {
         return Err(format!("it gives {} parameters", settings.len()));

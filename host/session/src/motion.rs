@@ -1,4 +1,4 @@
-//! How a handle moves.
+//! Motions of handles.
 
 use crate::vector::maybe_three;
 use glam::{DAffine3, DMat3, DVec3};
@@ -73,7 +73,7 @@ impl Default for Motion {
 }
 
 impl Motion {
-    /// What is wrong with it, or nothing.
+    /// Defect of the motion, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         let Self { translate, axis, degrees, pivot, scale } = *self;
         if !(translate.is_finite() && axis.is_finite() && pivot.is_none_or(DVec3::is_finite)) {

@@ -133,7 +133,7 @@ impl OtherModel {
     }
 }
 
-/// What tells whether a file is what it was: of a sampled model, its own files.
+/// Stamps by which a change of a file is noticed: for a sampled model, those of its own files.
 pub(crate) fn stamps(path: &Path) -> Vec<(u64, Option<SystemTime>)> {
     let files = match sampled_folder(path) {
         Some(folder) => OF_SAMPLED.iter().map(|name| folder.join(name)).collect(),

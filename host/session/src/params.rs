@@ -276,7 +276,7 @@ fn choice(plugin: &str, d: &ParamDesc, choice: &str) -> Result<ParamValue> {
     Err(Error::argument(format!("parameter `{}` of {plugin} cannot be `{choice}`", d.id), hint))
 }
 
-/// What to do about a value that is out of range.
+/// Advice about a value that is out of range.
 fn range_hint(d: &ParamDesc) -> String {
     let id = &d.id;
     match d.kind {
@@ -467,7 +467,7 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
 pub struct ParamText {
     /// The parameter's id.
     pub id: String,
-    /// What it is shown together with; empty for nothing.
+    /// Group with which the parameter is shown; empty for none.
     pub group: String,
     /// The parameter's kind, default, range and hint.
     pub text: String,
@@ -523,7 +523,7 @@ fn describe(d: &ParamDesc) -> String {
     format!("{hint}: {kind}; default {default}{unit}")
 }
 
-/// What a kind is called, for programs.
+/// Name of a kind, for programs.
 fn kind_name(kind: ParamKind) -> &'static str {
     match kind {
         ParamKind::FLOAT => "float",
@@ -592,7 +592,7 @@ pub fn is_id(id: &str) -> bool {
     !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
 }
 
-/// What is wrong with a plugin's description of itself.
+/// Checks a plugin's description of itself; the error names the first defect.
 pub fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
     limits::check(descriptor)?;
     if !is_id(&descriptor.id) {
@@ -627,7 +627,7 @@ pub fn check_description(descriptor: &Descriptor) -> std::result::Result<(), Str
     Ok(())
 }
 
-/// What is wrong with what a plugin says of its older sessions.
+/// Checks a plugin's description of its older sessions; the error names the first defect.
 pub fn check_migration(descriptor: &Descriptor, migration: &Migration) -> std::result::Result<(), String> {
     let Migration { state_version, aliases } = migration;
     if *state_version == 0 {

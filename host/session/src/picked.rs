@@ -74,7 +74,7 @@ impl PickedPoints {
         &self.0.outside
     }
 
-    /// What is wrong with it, or nothing.
+    /// Defect of the selection, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         let all = || self.0.inside.iter().chain(&self.0.outside);
         if self.0.file.is_some() {
@@ -117,7 +117,7 @@ impl PickedPoints {
         })
     }
 
-    /// Whether it is too long for a readable file.
+    /// Whether the selection is too long for a readable file.
     pub(crate) fn is_long(&self) -> bool {
         self.0.inside.len() + self.0.outside.len() > MOST_IN_SESSION
     }
@@ -134,7 +134,7 @@ impl PickedPoints {
         write_file(session, SideFileKind::Selection, &content).map(Some)
     }
 
-    /// What stands for it where it is in a file.
+    /// Stand-in for a selection that is in a file.
     pub(crate) fn in_file(file: Reference) -> Self {
         Self::from_parts(Vec::new(), Vec::new(), Some(file))
     }

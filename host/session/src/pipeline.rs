@@ -100,7 +100,7 @@ pub(crate) fn sampled_of(
     Ok(sampled)
 }
 
-/// How a session's model is sampled, without what it has no use for.
+/// Options for sampling a session's model, without the parts that the session has no use for.
 pub(crate) fn sampling_of(session: &SessionFile, skip: Skip) -> Sampling {
     let sampling = Sampling::from(session.sampling);
     let skip = Skip { sheets: sampling.skip.sheets, ..skip };
@@ -113,7 +113,7 @@ pub struct MovedSamples {
     pub sampled: Arc<SampledModel>,
     /// Local positions, one per sample, which nothing rounded.
     pub positions: Arc<[Vec3]>,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
 }
 
@@ -179,10 +179,10 @@ pub(crate) fn note_losses(converted: &Converted, progress: &dyn Progress) {
     }
 }
 
-/// How a session is run.
+/// Options of running a session.
 #[derive(Debug, Clone, Copy)]
 pub struct Running<'a> {
-    /// How the deformation is transferred.
+    /// Options of the transfer of the deformation.
     pub how: Reconstruction<'a>,
     /// A file for what becomes of each vertex: see [`Version::diagnostics`].
     pub diagnostics: Option<&'a Path>,
@@ -195,9 +195,10 @@ pub struct Running<'a> {
     /// The offset of positions that are stored as integers may be [another one](choose_offset), where they do
     /// not reach.
     pub choose_offset: bool,
-    /// What is written in another format than the model's may lose what that cannot hold.
+    /// Whether output in another format than the model's may lose content that the format cannot hold.
     pub lossy: bool,
-    /// What turns with the surface besides normals; that of the [default](Follow::default) is splats.
+    /// Rules for the attributes that turn with the surface besides normals; by [default](Follow::default)
+    /// those of splats.
     pub follow: &'a Follow,
 }
 
@@ -234,10 +235,10 @@ impl Running<'_> {
     }
 }
 
-/// What the evaluation of every vertex was expected to take.
+/// Expected cost of evaluating every vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExactCost {
-    /// How often the steps are evaluated, in all.
+    /// Number of evaluations of the steps, in all.
     pub evaluations: u64,
     /// An estimate made beforehand, from the time that some vertices took.
     pub seconds: f64,
@@ -256,9 +257,9 @@ pub struct Run {
     pub written: Reconstructed,
     /// The proof that the tolerance is met, if there was one.
     pub certificate: Option<Certificate>,
-    /// What was told beforehand, if every vertex was evaluated.
+    /// The cost that was expected, if every vertex was evaluated.
     pub exact: Option<ExactCost>,
-    /// What turned with the surface besides normals and tangents, for people.
+    /// Attributes that turned with the surface besides normals and tangents, for people.
     pub following: Vec<String>,
     /// Seconds from opening the model to the finished output.
     pub seconds: f64,
@@ -402,7 +403,8 @@ fn written(
     Ok((reconstruct(&deformed.sampled, model, &[version], &how, progress)?, None))
 }
 
-/// What of a sampled model a session has no use for; `refines` says that more than its steps refines it.
+/// Parts of a sampled model that a session has no use for; `refines` says that more than the session's steps
+/// refines it.
 pub(crate) fn needed(session: &SessionFile, stack: &Stack, refines: bool) -> Skip {
     let cells = refines || session.steps.iter().any(|step| step.enabled && step.refines());
     // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.

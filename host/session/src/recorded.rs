@@ -38,10 +38,10 @@ fn write<S: Serializer>(table: Result<impl Serialize, String>, to: S) -> Result<
 struct StepRecord {
     /// The step, as a session has it.
     step: toml::Table,
-    /// What its files are seen from.
+    /// Folder to which the paths of the step's files are relative.
     #[serde(default)]
     folder: PathBuf,
-    /// Where it stood in a file, for errors.
+    /// Place of the step in a file, for errors.
     #[serde(default)]
     place: String,
 }
@@ -150,7 +150,7 @@ fn step_of(table: toml::Table, folder: &Path) -> Result<Step, String> {
     Ok(step)
 }
 
-/// What is wrong with a session that is in no file.
+/// Error text of a session that is in no file: without its place.
 fn without_place(what: &str) -> String {
     what.split_once(": ").map_or(what, |(_, what)| what).to_owned()
 }

@@ -8,12 +8,12 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::{Model, Progress, Result};
 use std::path::Path;
 
-/// What a refinement may take.
+/// Resources that a refinement may take.
 #[derive(Clone, Copy)]
 pub struct Room<'a> {
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// Where temporary files without a name are made.
+    /// Folder in which temporary files without a name are made.
     pub folder: &'a Path,
 }
 

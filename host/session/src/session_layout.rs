@@ -10,7 +10,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem::take;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, RawString, Table, TableLike, Value};
 
-/// What is never left out where it says what would hold without it.
+/// Key that is never left out of a file, even where its value is what holds without it.
 const STROKES: &str = "strokes";
 
 /// Most pairs of tables that are compared to find out which of them are the same; beyond, only those at both
@@ -28,13 +28,13 @@ pub(crate) fn changed(mut file: DocumentMut, base: &DocumentMut, mut to: Documen
     file
 }
 
-/// What a table has by key.
+/// Changes a table of the file by key, to what `to` has.
 fn change_table(file: &mut dyn TableLike, base: &dyn TableLike, to: Table) {
     let gone: Vec<String> = file
         .iter()
         .map(|(key, _)| key.to_owned())
         .filter(|key| !to.contains_key(key))
-        // What the program leaves out says nothing new, and may well stand there.
+        // A key that the program leaves out says nothing new, and may well stand in the file.
         .filter(|key| base.contains_key(key) || key == STROKES)
         .collect();
     let end = end_of(file);
@@ -54,7 +54,7 @@ fn change_table(file: &mut dyn TableLike, base: &dyn TableLike, to: Table) {
     }
 }
 
-/// What stands between the last value of a table in one line and its brace.
+/// Text between the last value of a table in one line and the table's brace.
 fn end_of(table: &dyn TableLike) -> Option<String> {
     let (_, last) = table.iter().last()?;
     let end = last.as_value()?.decor().suffix()?.as_str()?;
@@ -173,7 +173,8 @@ fn subsequence(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     found
 }
 
-/// What tables of one kind share: the plugin of a step, the id of a joint, the role of a region.
+/// Name of a table's kind, which tables of one kind share: the plugin of a step, the id of a joint, the role
+/// of a region.
 fn kind(table: &Table) -> Option<String> {
     let text = |key| table.get(key).and_then(Item::as_str).map(str::to_owned);
     text("deform").or_else(|| text("id")).or_else(|| text("role"))
@@ -185,7 +186,7 @@ fn hash(table: &Table) -> u64 {
     hasher.finish()
 }
 
-/// Whether two items say the same, however they are put.
+/// Whether two items have the same value, however it is written.
 fn is_same(a: &Item, b: &Item) -> bool {
     let value = |item: &Item| item.clone().into_value().ok();
     match (value(a), value(b)) {
@@ -274,7 +275,7 @@ refine = { factor = 4, shapes = [
 # The end.
 "#;
 
-    /// What is written over the file after this change.
+    /// Text that is written over the file after this change.
     fn saved(file: &str, change: impl FnOnce(&mut SessionFile)) -> String {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("edit.toml");

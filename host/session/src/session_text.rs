@@ -83,7 +83,7 @@ impl SessionText<'_> {
         e.saying(what)
     }
 
-    /// What paths in the file are relative to.
+    /// Folder to which paths in the file are relative.
     fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(Path::new(""))
     }
@@ -176,7 +176,7 @@ impl SessionText<'_> {
         Ok((None, tiles, columns, fingerprint))
     }
 
-    /// What makes no sense, with its line.
+    /// Error of a defect, with its line.
     fn defect(&self, span: &Range<usize>, defect: &Defect) -> Error {
         self.error(span, &defect.what, defect.hint)
     }
@@ -197,7 +197,7 @@ impl SessionText<'_> {
         Ok(Step { action, enabled, title, group, place })
     }
 
-    /// What the user calls a step, or a group.
+    /// Checks the name that the user gave a step, or a group.
     fn name(&self, key: &str, name: Option<Spanned<String>>) -> Result<Option<String>> {
         if let Some(name) = &name {
             step::check_name(key, name.get_ref()).map_err(|defect| self.defect(&name.span(), &defect))?;

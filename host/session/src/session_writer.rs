@@ -112,7 +112,7 @@ fn lay_out(document: &mut DocumentMut) {
     }
 }
 
-/// What a step may have several of, each a table by itself.
+/// Keys of which a step may have several, each a table by itself.
 const SEVERAL: [&str; 4] = ["region", "joint", "handle", "stroke"];
 
 /// An array of tables by themselves, each laid out.
@@ -139,9 +139,9 @@ fn spanned<T, U>(all: &[T], mut table: impl FnMut(&T) -> Result<U>) -> Result<Ve
 struct Writer<'a> {
     /// The session's file, if what is too long may go beside it.
     session: Option<&'a Path>,
-    /// What the model and the output are seen from.
+    /// Folder to which the paths of the model and the output are relative.
     folder: &'a Path,
-    /// What was written beside it.
+    /// Files that were written beside the session.
     files: Vec<PathBuf>,
 }
 

@@ -20,7 +20,7 @@ const LONGEST: u64 = 1 << 30;
 /// Digits of the hash in a file's name.
 const HASH: usize = 12;
 
-/// What is in a file.
+/// Content of a side file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SideFileKind {
     /// The strokes of a step.
@@ -32,7 +32,7 @@ pub enum SideFileKind {
 impl SideFileKind {
     const ALL: [Self; 2] = [Self::Strokes, Self::Selection];
 
-    /// How files of this kind begin, how their names end, and what they are called.
+    /// First bytes of files of this kind, the end of their names, and the word for them in messages.
     fn names(self) -> (&'static [u8], &'static str, &'static str) {
         match self {
             Self::Strokes => (b"simod-strokes/1\n", "strokes", "strokes"),
@@ -41,7 +41,7 @@ impl SideFileKind {
     }
 }
 
-/// What a session says of the file.
+/// Reference of a session to a side file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Reference {
@@ -71,7 +71,7 @@ pub fn write(session: &Path, kind: SideFileKind, content: &impl Serialize) -> Re
     Ok(Reference { file, fingerprint })
 }
 
-/// What the names of files beside a session begin with: a text that is another one for another session.
+/// Beginning of the names of files beside a session: a text that differs from that of any other session.
 fn stem(session: &Path) -> String {
     let stem = session.file_stem().unwrap_or_default();
     match stem.to_str() {

@@ -1,4 +1,4 @@
-//! What stands beside a model's file, its *sidecar*, and declares which of its numbers turn with the surface.
+//! Sidecar: the file beside a model's file that declares which of its numbers turn with the surface.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ struct Sidecar {
     follow: BTreeMap<String, TensorKind>,
 }
 
-/// Where the sidecar of a model is, if it has one.
+/// Path of the sidecar of a model, whether there is one or not.
 pub fn path_beside(model: &Path) -> PathBuf {
     let mut path = model.as_os_str().to_owned();
     path.push(SUFFIX);

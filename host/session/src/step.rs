@@ -22,16 +22,16 @@ use std::sync::Arc;
 pub struct Step {
     /// The step's action.
     pub action: Action,
-    /// Whether it is done; a step that is not stays in the session.
+    /// Whether the step is done; a step that is not stays in the session.
     #[serde(default = "yes")]
     pub enabled: bool,
-    /// What the user calls it, if anything.
+    /// The user's name of the step, if it has one.
     #[serde(default)]
     pub title: Option<String>,
-    /// What the group is called that it is in, with those before and behind it that say the same.
+    /// Name of the group that the step is in, with the steps before and behind it that have the same.
     #[serde(default)]
     pub group: Option<String>,
-    /// Where in the file it stands, as `session.toml, line 7`; for errors.
+    /// Place of the step in its file, as `session.toml, line 7`; for errors.
     #[serde(default)]
     pub place: String,
 }
@@ -51,15 +51,15 @@ pub enum Action {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refine {
-    /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out
-    /// by themselves ([`Finer::Auto`]).
+    /// Region to refine, on the model as the steps before have deformed it. No shape is everywhere, for a
+    /// refinement that finds out by itself ([`Finer::Auto`]).
     pub shapes: Shapes,
     /// The fineness that is wanted.
     pub finer: Finer,
 }
 
 impl Refine {
-    /// Whether it makes sense.
+    /// Checks that the refinement makes sense.
     ///
     /// # Errors
     /// A shape is no part of space, there is none though somebody has to say where, or the fineness is out of
@@ -77,13 +77,13 @@ impl Refine {
         }
     }
 
-    /// Whether it finds out by itself where samples are needed.
+    /// Whether the refinement finds out by itself where samples are needed.
     pub fn is_auto(&self) -> bool {
         matches!(self.finer, Finer::Auto { .. })
     }
 }
 
-/// How fine a refinement can be.
+/// Fineness that a refinement can have, for errors.
 pub(crate) const FINER: &str =
     "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
 
@@ -93,7 +93,7 @@ pub(crate) const FINER: &str =
 pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
-    /// Where the plugin came from, as far as that was known when the session was saved.
+    /// Origin of the plugin, as far as that was known when the session was saved.
     pub plugin: Option<Origin>,
     /// The version of what the plugin's parameters mean; where nothing is said, the first.
     #[serde(default)]
@@ -107,28 +107,28 @@ pub struct Deformation {
     /// Joints that the user placed, in the file's order.
     #[serde(default)]
     pub joints: Vec<Joint>,
-    /// How the plugin's own handles move.
+    /// Motions of the plugin's own handles.
     #[serde(default)]
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
     #[serde(default)]
     pub strokes: Vec<Arc<Stroke>>,
-    /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is
-    /// blended linearly.
+    /// Amount of the deformation that is done: 0 leaves all at rest, 1 is the whole deformation, and
+    /// displacements between are blended linearly.
     #[serde(default = "full")]
     pub amount: f64,
-    /// What paths among the parameters are relative to.
+    /// Folder to which paths among the parameters are relative.
     #[serde(default)]
     pub folder: PathBuf,
-    /// Where the parameters stand in the file; for errors.
+    /// Places of the parameters in the file; for errors.
     #[serde(skip)]
     pub param_places: ParamPlaces,
-    /// What was changed when it was brought up to its plugin; for users.
+    /// Changes that were made when the step was brought up to its plugin; for users.
     #[serde(skip)]
     pub notes: Notes,
 }
 
-/// What was done to a step, in words. No part of what the step is: all are equal.
+/// Notes on changes of a step, in words. They are no part of what the step is: all compare as equal.
 #[derive(Debug, Clone, Default)]
 pub struct Notes(Arc<[String]>);
 
@@ -179,8 +179,8 @@ impl ParamPlaces {
         Self(Arc::new(places))
     }
 
-    /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the
-    /// file gives that one.
+    /// Place to which an error belongs that came up in the step at `place`: that of the parameter that the
+    /// error names, if the file gives the parameter.
     pub(crate) fn place_of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
         let text = error.to_string();
         let named = text.split("parameter `").skip(1).filter_map(|rest| rest.split('`').next());
@@ -197,7 +197,7 @@ pub struct Origin {
     /// The author of the plugin.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub author: String,
-    /// Where there is more about it.
+    /// Address of more information on the plugin.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub url: String,
 }
@@ -272,10 +272,10 @@ impl Step {
         }
     }
 
-    /// Whether it makes sense, as far as that can be told without its plugin.
+    /// Checks that the step makes sense, as far as that can be told without its plugin.
     ///
     /// # Errors
-    /// What is wrong with it: a session that says so is not read.
+    /// The defect of the step: a session with such a step is not read.
     pub fn check(&self) -> Result<(), Defect> {
         self.title.as_deref().map_or(Ok(()), |title| check_name("title", title))?;
         self.group.as_deref().map_or(Ok(()), |group| check_name("group", group))?;
@@ -285,12 +285,12 @@ impl Step {
         }
     }
 
-    /// Where an error of the step belongs to: the step, or the parameter that it names.
+    /// Place to which an error of the step belongs: the step, or the parameter that the error names.
     pub(crate) fn place_of<'a>(&'a self, error: &Error) -> &'a str {
         self.deformation().map_or(&self.place, |d| d.param_places.place_of(&self.place, error))
     }
 
-    /// Whether there may be more samples after it.
+    /// Whether there may be more samples after the step.
     pub fn refines(&self) -> bool {
         matches!(self.action, Action::Refine(_))
     }
@@ -374,7 +374,8 @@ pub(crate) fn check_joints(joints: &[Joint]) -> Result<(), (usize, Defect)> {
 /// none first, and then what hangs on these. Where there is no such order, [`check_joints`] says so.
 pub(crate) fn joint_order(joints: &[Joint]) -> Vec<usize> {
     let numbers: HashMap<&str, usize> = joints.iter().map(|joint| &*joint.id).zip(0..).collect();
-    // How many joints hang on each other down to each one, itself included; 0 where that is not known yet.
+    // Number of joints that hang on each other down to each one, itself included; 0 where that is not known
+    // yet.
     let mut depths = vec![0usize; joints.len()];
     for first in 0..joints.len() {
         let (mut above, mut joint) = (Vec::new(), first);
@@ -429,7 +430,7 @@ pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
 pub struct Defect {
     /// The part that it is about.
     pub part: RegionPart,
-    /// What is wrong, as the beginning of a sentence.
+    /// The defect in words, as the beginning of a sentence.
     pub what: Cow<'static, str>,
     /// The advice on it.
     pub hint: &'static str,
@@ -440,7 +441,7 @@ pub struct Defect {
 pub enum RegionPart {
     /// No part by itself.
     Whole,
-    /// How far beyond its border a region fades out.
+    /// The distance beyond its border at which a region has faded out.
     Falloff,
     /// The region's motion.
     Move,
@@ -466,7 +467,7 @@ impl Defect {
 pub struct Joint {
     /// Unique among the step's joints.
     pub id: String,
-    /// Where it is at rest, model coordinates.
+    /// Position of the joint at rest, model coordinates.
     #[serde(deserialize_with = "crate::vector::three")]
     pub at: DVec3,
     /// The id of the joint that it hangs on, if any.
@@ -479,7 +480,7 @@ pub struct Joint {
 pub struct HandleMove {
     /// The handle's id.
     pub id: String,
-    /// How it moves; about its place at rest unless the motion says otherwise.
+    /// Motion of the handle; about its place at rest unless the motion says otherwise.
     pub motion: Motion,
 }
 
@@ -505,7 +506,7 @@ fn full() -> f64 {
     1.0
 }
 
-/// What a region's samples do.
+/// Role of a region's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -525,13 +526,13 @@ pub struct Region {
     pub role: Role,
     /// The region's place.
     pub shapes: Shapes,
-    /// How a handle moves; nothing for other roles.
+    /// Motion of a handle region; none for other roles.
     #[serde(default)]
     pub motion: Motion,
 }
 
 impl Region {
-    /// Whether it makes sense.
+    /// Checks that the region makes sense.
     ///
     /// # Errors
     /// The region has no shape or one that is no part of space, fades out by no distance, or moves without

@@ -18,7 +18,7 @@ struct FileStroke {
     params: String,
 }
 
-/// Whether a step's strokes are too long for the session itself.
+/// Whether a step's strokes need a file, as they are too long for the session itself.
 pub fn is_needed(strokes: &[Arc<Stroke>]) -> bool {
     strokes.iter().map(|s| s.points.len()).sum::<usize>() > MOST_IN_SESSION
 }

@@ -34,7 +34,7 @@ impl StoredObject {
         let (meta, block) = loop {
             match wait(ask())? {
                 Ok(found) => break found,
-                // What says that there is none may be cut off, too.
+                // The answer that there is no such object may be cut off, too.
                 Err(e) if broke_off(&e) && tries.next().is_some() => {}
                 Err(StoreError::NotFound { .. }) => return Ok(None),
                 Err(e) if is_beyond_end(&e) => {

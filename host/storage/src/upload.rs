@@ -18,7 +18,7 @@ use crate::runtime::{runtime, wait};
 const MOST_BYTES: usize = 64 << 20;
 const MOST_PARTS: usize = 8;
 
-/// How long an abortion may take.
+/// Longest time of an abortion.
 const ABORTION: Duration = Duration::from_secs(10);
 
 /// An upload.
@@ -79,7 +79,7 @@ impl PartsUpload {
         Ok(())
     }
 
-    /// What is in the object's place: tag, when it was written, and length.
+    /// Object in the upload's place, if there is one: its tag, its time of writing, and its length.
     fn in_place(&self) -> Result<Option<(Option<String>, String, u64)>> {
         match wait(self.place.store.head(&self.place.path))? {
             Ok(meta) => Ok(Some((meta.e_tag, meta.last_modified.to_string(), meta.size))),

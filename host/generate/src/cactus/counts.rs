@@ -1,4 +1,4 @@
-//! How many steps the cactus' grid has where, for a number of vertices.
+//! Numbers of steps of the cactus' grid, in all its parts, for a number of vertices.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -16,12 +16,13 @@ pub(super) const STEM: [[f64; 2]; 8] = [
     [1.78, 0.2],
     [1.923, 0.14],
 ];
-/// Where the holes begin, by index above: on the right (+x), and on the left.
+/// Index in [`STEM`] of the ring at which each hole begins: the hole on the right (+x), and the one on the
+/// left.
 pub(super) const HOLES: [usize; 2] = [2, 4];
 /// Length of an arm's curve up to the first ring that is out of the stem.
 pub(super) const ROOT: f64 = 0.2;
 
-/// How many steps of the grid there are.
+/// Numbers of steps of the grid.
 #[derive(Clone, Copy)]
 pub(super) struct Counts {
     /// On each side of the stem, around.
@@ -33,7 +34,7 @@ pub(super) struct Counts {
 }
 
 impl Counts {
-    /// How long the parts are that are divided, in the order of [`rows`](Self::rows).
+    /// Lengths of the parts that are divided, in the order of [`rows`](Self::rows).
     pub fn lengths(form: &CactusForm) -> Vec<f64> {
         let of_stem = STEM.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]));
         // Arms have more columns for their width than the stem: so rows are wider apart.

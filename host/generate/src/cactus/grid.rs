@@ -102,7 +102,7 @@ impl Cactus {
         let mut index = self.first(1) + 4 * side * row + column;
         for arm in 0..2 {
             let Hole { low, high, left } = self.counts.hole(arm);
-            // What is missing in the rows before, and in this one.
+            // The hole lacks vertices in the rows before this one, and in this one.
             index -= (side - 1) * row.min(high).saturating_sub(low + 1);
             if low < row && row < high && column >= left + side {
                 index -= side - 1;
@@ -253,7 +253,8 @@ impl Cap {
         }
     }
 
-    /// How far from the middle a place is, 1 at the border, and in which direction: squares become circles.
+    /// Polar coordinates of a place on the cap: its distance from the middle, 1 at the border, and its
+    /// direction. Squares become circles.
     fn polar(&self, column: u64, row: u64) -> (f64, f64) {
         let on = |i: u64, of: u64| 2.0 * i as f64 / of as f64 - 1.0;
         let place = DVec2::new(on(column, self.width), on(row, self.height));

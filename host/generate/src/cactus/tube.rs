@@ -21,7 +21,7 @@ pub(super) enum Leg {
 pub(super) struct Tube {
     pub legs: Vec<Leg>,
     pub radius: f64,
-    /// How many ribs it has around.
+    /// Number of ribs around the tube.
     pub ribs: f64,
 }
 

@@ -14,14 +14,14 @@ use std::time::{Duration, Instant};
 /// Time between two looks whether the process is still there.
 pub(super) const INTERVAL: Duration = Duration::from_millis(5);
 
-/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs
-/// open.
+/// Time for which the last words of a process that ended are waited for. Processes that it started itself may
+/// hold its outputs open.
 pub(super) const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// A process that does not outlive this.
 pub struct Ended {
     child: Child,
-    /// How it ended, once it was taken off the system's list: from then on its number may be another
+    /// Exit status, once the process was taken off the system's list: from then on its number may be another
     /// process'.
     status: Option<ExitStatus>,
 }
@@ -43,17 +43,17 @@ impl Ended {
         self.child.id()
     }
 
-    /// What it prints on standard output, if that is asked for, and for the first time.
+    /// Pipe of the process's standard output, if that is asked for, and for the first time.
     pub fn stdout(&mut self) -> Option<ChildStdout> {
         self.child.stdout.take()
     }
 
-    /// What it prints on standard error, likewise.
+    /// Pipe of the process's standard error, likewise.
     pub fn stderr(&mut self) -> Option<ChildStderr> {
         self.child.stderr.take()
     }
 
-    /// How it ended, if it has: then nothing of its group is left either.
+    /// Exit status, if the process has ended: then nothing of its group is left either.
     pub fn try_wait(&mut self) -> Result<Option<ExitStatus>> {
         if self.status.is_none() && self.has_ended()? {
             self.kill();
@@ -89,8 +89,8 @@ impl Ended {
         let _ = self.child.kill();
     }
 
-    /// Whether it has ended, without taking it off the list: as long as it is there, nobody else has its
-    /// number.
+    /// Whether the process has ended, without taking it off the system's list: as long as it is there, no
+    /// other process has its number.
     #[cfg(unix)]
     fn has_ended(&self) -> Result<bool> {
         use rustix::process::{WaitId, WaitIdOptions, waitid};
@@ -137,7 +137,7 @@ fn spawn(command: Command) -> Result<Child> {
         let start = move || {
             for (mut command, answer) in orders {
                 let child = command.spawn();
-                // What is left of the command may hold its ends of pipes and sockets open.
+                // The rest of the command may hold its ends of pipes and sockets open.
                 drop(command);
                 // Whoever asked has gone: the process is ended by nobody else.
                 if let Err(unheard) = answer.send(child)
@@ -197,7 +197,7 @@ mod watcher {
             let mut shell = spawn(shell).ok()?;
             Some(Mutex::new((shell.stdin.take()?, shell)))
         });
-        // Where there is no shell, the system's own signal has to do.
+        // On a system without a shell, the system's own signal has to do.
         if let Some(pipe) = pipe {
             let _ = writeln!(pipe.lock().unwrap_or_else(PoisonError::into_inner).0, "{change} {group}");
         }
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     #[cfg(target_os = "linux")]
     fn a_group_ends_with_its_first_process() {
-        // That ends by itself,
+        // The group ends when its first process ends by itself,
         let (mut parent, child) = parent("exit 3");
         assert_eq!(parent.end().and_then(|status| status.code()), Some(3));
         ends(&child);

@@ -11,11 +11,11 @@ pub(crate) struct About {
     #[serde(with = "DescriptorRecord")]
     pub descriptor: Descriptor,
     pub capabilities: Capabilities,
-    /// What a plugin has whose older sessions keep working.
+    /// Migration of older sessions, if the plugin keeps them working.
     pub migration: Option<Migration>,
 }
 
-/// What a plugin can do besides deforming samples.
+/// Abilities of a plugin besides deforming samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Capabilities {
     /// The plugin knows its map at any point of space.

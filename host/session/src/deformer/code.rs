@@ -10,7 +10,8 @@ use simod_plugin_api::{
 /// The handles that a plugin places.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct OwnHandles {
-    /// Where they are at rest, local coordinates, and how they may be moved.
+    /// Descriptions of the handles: their places at rest, local coordinates, and the ways in which they may
+    /// be moved.
     pub descs: Vec<HandleDesc>,
     /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no
     /// surface.
@@ -20,16 +21,16 @@ pub struct OwnHandles {
 /// The calls of the plugin interface. Those of what a plugin cannot do, as
 /// [`capabilities`](Self::capabilities) tell, are not made.
 pub trait Code: Send + Sync {
-    /// What the plugin says that it is.
+    /// Returns the plugin's description of itself.
     fn descriptor(&self) -> PluginResult<Descriptor>;
 
     /// The code's capabilities.
     fn capabilities(&self) -> Capabilities;
 
-    /// What it says of its older sessions, if it knows them.
+    /// Returns the plugin's description of its older sessions, if it has one.
     fn migration(&self) -> PluginResult<Option<Migration>>;
 
-    /// Whether it runs in another process.
+    /// Whether the plugin runs in another process.
     fn is_isolated(&self) -> bool {
         false
     }
@@ -105,7 +106,7 @@ impl RustCode {
     }
 }
 
-/// What is not offered is not called.
+/// Reason for which a call expects the plugin to have it: calls that are not offered are not made.
 const OFFERED: &str = "the plugin offers it";
 
 impl Code for RustCode {

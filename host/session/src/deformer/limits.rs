@@ -1,4 +1,4 @@
-//! How much a plugin may say of itself: the same for all, whatever they are written in.
+//! Limits of a plugin's description of itself: the same for all, whatever they are written in.
 
 use simod_plugin_api::{Descriptor, ParamDesc};
 
@@ -49,7 +49,7 @@ fn called(p: &ParamDesc) -> String {
     p.id.chars().take(40).collect()
 }
 
-/// What of a description is more than it may be.
+/// Checks that a description keeps within the limits; the error names the part that is too long.
 pub fn check(d: &Descriptor) -> Result<(), String> {
     let list = |length: usize, what: &dyn Fn() -> String| {
         if length <= LONGEST_LIST {
@@ -74,7 +74,8 @@ pub fn check(d: &Descriptor) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether a character does something to a terminal, or to the order of what is read, instead of being shown.
+/// Whether a character does something to a terminal, or to the order of the text that is read, instead of
+/// being shown.
 pub fn is_raw(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }

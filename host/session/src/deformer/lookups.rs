@@ -1,5 +1,5 @@
-//! What a plugin may look up in its samples, as the interface's `services` have it: trees that are built when
-//! they are first asked, in whichever process the plugin runs, and kept with its state.
+//! Look-ups in a plugin's samples, as the interface's `services` have them: trees that are built when they
+//! are first asked, in whichever process the plugin runs, and kept with its state.
 //!
 //! Memory, for each state: 12 bytes a triangle where the plugin asks for triangles and 12 a sample where it
 //! asks for positions at rest; 20 a sample once samples were looked up, and 150 a triangle once the surface

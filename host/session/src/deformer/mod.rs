@@ -64,12 +64,12 @@ impl Message {
         Self { plugin: plugin.to_owned(), level: LogLevel::WARNING, text }
     }
 
-    /// Whether the result may not be what the user wants.
+    /// Whether the message is a warning: the result may not be what the user wants.
     pub fn is_warning(&self) -> bool {
         self.level.0 >= LogLevel::WARNING.0
     }
 
-    /// Whether it is for the plugin's author alone.
+    /// Whether the message is for the plugin's author alone.
     pub fn is_debug(&self) -> bool {
         self.level.0 <= LogLevel::DEBUG.0
     }
@@ -110,7 +110,7 @@ impl Plugin {
         Self::unchecked(code, about, path)
     }
 
-    /// What a plugin says that it is.
+    /// Asks a plugin for its description of itself.
     pub(crate) fn ask(code: &dyn Code, path: &Path) -> Result<About> {
         let descriptor = code.descriptor().map_err(|e| refused(path, &line(&e.message)))?;
         let migration = code.migration().map_err(|e| refused(path, &line(&e.message)))?;
@@ -140,7 +140,7 @@ impl Plugin {
         Self { shipped, ..self }
     }
 
-    /// Whether it came with the program.
+    /// Whether the plugin came with the program.
     pub fn is_shipped(&self) -> bool {
         self.shipped
     }
@@ -175,7 +175,7 @@ impl Plugin {
         &self.descriptor.author
     }
 
-    /// Where there is more on it; may be empty.
+    /// Address of more information on the plugin; may be empty.
     pub fn url(&self) -> &str {
         &self.descriptor.url
     }
@@ -190,7 +190,7 @@ impl Plugin {
         self.consumes
     }
 
-    /// What it can do besides deforming samples.
+    /// Abilities of the plugin besides deforming samples.
     pub fn capabilities(&self) -> Capabilities {
         self.capabilities
     }
@@ -200,12 +200,12 @@ impl Plugin {
         self.migration.as_ref().map_or(1, |m| m.state_version)
     }
 
-    /// What it says of its older sessions, if it knows them.
+    /// The plugin's description of its older sessions, if it has one.
     pub fn migration(&self) -> Option<&Migration> {
         self.migration.as_ref()
     }
 
-    /// Whether it runs in a process of its own.
+    /// Whether the plugin runs in a process of its own.
     pub fn is_isolated(&self) -> bool {
         self.code.is_isolated()
     }
@@ -302,7 +302,7 @@ impl Plugin {
         Ok(handles)
     }
 
-    /// Whether the plugin would leave all samples where they are.
+    /// Whether the plugin would leave all samples where they are; false where it cannot tell.
     pub(crate) fn is_identity(&self, input: &DeformInput<'_>, watch: &PluginWatch<'_>) -> Result<bool> {
         if !self.capabilities.is_identity {
             return Ok(false);
@@ -313,18 +313,19 @@ impl Plugin {
         self.code.is_identity(input).map_err(|e| self.failed(&e))
     }
 
-    /// What a step of an older session has to give now; under the ids of now, checked by nobody yet.
+    /// Settings that a step of an older session has to give now, under the ids of now; nobody has checked
+    /// them yet.
     pub(crate) fn migrate(&self, from: u32, settings: Vec<Setting>) -> Result<Vec<Setting>> {
         self.code.migrate(from, settings).map_err(|e| self.failed(&e))
     }
 
-    /// What the samples' arrays are, about a millisecond for 350 000; nothing for a plugin in another
+    /// Fingerprint of the samples' arrays, about a millisecond for 350 000; none for a plugin in another
     /// process, which has a copy of them.
     pub(crate) fn fingerprint(&self, samples: &Samples<'_>) -> Option<Fingerprint> {
         (!self.is_isolated()).then(|| Fingerprint::new(samples))
     }
 
-    /// What the samples were before a call, they have to be after it: later layers work on them too.
+    /// Checks that a call has not changed the samples: later layers work on them too.
     ///
     /// # Errors
     /// The plugin has changed them.
@@ -382,7 +383,7 @@ impl Plugin {
 #[derive(Debug, PartialEq)]
 pub(crate) struct Fingerprint([u64; Self::PARTS]);
 
-/// What of the samples is looked at.
+/// Part of the samples that is compared.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum SampleChecks {
     All,
@@ -420,9 +421,9 @@ impl Fingerprint {
     }
 }
 
-/// What is there for checks of just that.
+/// Access for checks of plugins, which is used for nothing else.
 impl Plugin {
-    /// What it says that it is, and can do.
+    /// The plugin's description of itself, and its abilities.
     pub(crate) fn about(&self) -> About {
         let migration = self.migration.clone();
         About { descriptor: self.descriptor.clone(), capabilities: self.capabilities, migration }
@@ -448,13 +449,13 @@ const FARTHEST: f64 = 1e9;
 /// Results that a thread checks at once.
 const CHECKED_TOGETHER: usize = 1 << 14;
 
-/// Whether what follows can work with a position in local coordinates: it is finite, and no coordinate is
-/// beyond 1e9.
+/// Whether the steps that follow can work with a position in local coordinates: all coordinates are finite,
+/// and none is beyond 1e9.
 pub fn is_usable(p: [f64; 3]) -> bool {
     p.iter().all(|x| x.abs() <= FARTHEST)
 }
 
-/// What is wrong with the handles that a plugin places.
+/// Checks the handles that a plugin places; the error names the first defect.
 pub fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
     for (i, handle) in descs.iter().enumerate() {
@@ -503,7 +504,7 @@ pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
     Error::plugin(what, hint)
 }
 
-/// What to do about a mistake of a plugin.
+/// Advice about a mistake of a plugin.
 pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its author";
 
 /// A mistake of a plugin, which is named.
@@ -523,9 +524,9 @@ impl std::fmt::Display for PluginBug {
 
 impl std::error::Error for PluginBug {}
 
-/// Whether an error came of what is a mistake in a plugin for certain: a panic, or an answer that breaks a
-/// rule of the interface. Other errors of plugins are refusals of what they were given, or may have other
-/// causes too, as positions that are not finite have.
+/// Whether an error is certainly a mistake in a plugin: a panic, or an answer that breaks a rule of the
+/// interface. Other errors of plugins are refusals of what they were given, or may have other causes too, as
+/// positions that are not finite have.
 pub fn is_plugins_bug(error: &Error) -> bool {
     std::error::Error::source(error).is_some_and(|source| source.is::<PluginBug>())
 }
@@ -538,7 +539,7 @@ fn refused(path: &Path, what: &str) -> Error {
 /// A plugin's text on one line, of bounded length.
 pub fn line(text: &str) -> String {
     const LONGEST: usize = 500;
-    // What is raw, as what a terminal obeys, separates words as white space does.
+    // A raw character, as one that a terminal obeys, separates words as white space does.
     let words = text.split(|c: char| c.is_whitespace() || is_raw(c)).filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
 }
@@ -547,7 +548,7 @@ pub fn line(text: &str) -> String {
 pub(crate) struct PluginWatch<'a> {
     progress: &'a dyn Progress,
     plugin: &'a str,
-    /// What a fraction of 1 is, in bytes.
+    /// Number of bytes that a fraction of 1 stands for.
     size: u64,
     /// Bytes told so far.
     told: AtomicU64,
@@ -570,7 +571,7 @@ impl<'a> PluginWatch<'a> {
         self.progress.begin_preparation(stage, self.size);
     }
 
-    /// What the plugin said.
+    /// Messages of the plugin.
     pub(crate) fn into_messages(self) -> Vec<Message> {
         self.messages.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
@@ -643,7 +644,7 @@ mod tests {
             assert_eq!(told(&positions, &normals, &spacing), 1, "{i}");
             spacing[i] -= 1.0;
         }
-        // What writes to all of it is seen at once, whichever part is looked at.
+        // A change of all the positions is seen at once, whichever part is looked at.
         positions.iter_mut().for_each(|p| p[0] += 1.0);
         assert_eq!(told(&positions, &normals, &spacing), Fingerprint::PARTS);
     }

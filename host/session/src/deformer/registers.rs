@@ -1,9 +1,9 @@
 //! The processor's registers, and what a plugin leaves in them.
 
-/// How this thread computes: rounding, and what becomes of numbers too small to be normal.
+/// Floating-point modes of this thread: rounding, and the treatment of numbers too small to be normal.
 ///
-/// A plugin may change that for all that follows on the thread: on purpose, to round elsewhere, or as a
-/// library that was built with `-ffast-math`, which does so when it is loaded.
+/// A plugin may change these modes for all that follows on the thread: on purpose, to round elsewhere, or as
+/// a library that was built with `-ffast-math`, which does so when it is loaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Modes {
     #[cfg(target_arch = "x86_64")]

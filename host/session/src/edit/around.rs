@@ -18,7 +18,8 @@ use std::sync::Arc;
 const NEAR: usize = 20;
 /// One, the three coordinates, and what is quadratic along the surface.
 const TERMS: usize = 7;
-/// What the terms that samples of a plane do not tell are held to nothing by.
+/// Regularisation of the terms of the polynomial that samples of a plane do not determine: it holds them to
+/// zero.
 const RIDGE: f64 = 1e-6;
 /// Normals that are less alike than this cosine are of two sides of a thin wall.
 const AWAY: f32 = -0.5;
@@ -44,7 +45,8 @@ impl Around {
         Self(appended.par_iter().map(|p| words(samples, *p)).collect())
     }
 
-    /// Where all samples of `after` go about, by the deformed positions of those that were there before.
+    /// Positions of all samples of `after`, approximately, by the deformed positions of those that were there
+    /// before.
     pub fn draft(&self, after: &SampledModel, deformed: &[Vec3]) -> Arc<[Vec3]> {
         let (rest, appended) = after.samples.positions.split_at(deformed.len());
         let moved = |word: &Word| {
@@ -89,7 +91,7 @@ fn words(samples: &SampleSet, p: Vec3) -> [Word; NEAR] {
     let at_the_place = from_fn(|i| if i == 0 { DVec3::X } else { DVec3::ZERO });
     let polynomial = solve_positive_definite(matrix, at_the_place).map(|all| all.map(|x| x.x));
     let Some(polynomial) = polynomial.filter(|all| unit > 0.0 && all.iter().all(|x| x.is_finite())) else {
-        // Where no polynomial is found, the nearest one alone has a say.
+        // Without a polynomial, the nearest sample alone has a weight.
         words[0].weight = 1.0;
         return words;
     };

@@ -9,7 +9,7 @@ use simod_model::{Error, Result};
 use simod_plugin_api::ParamKind;
 use std::path::Path;
 
-/// Where a step that is pasted says it was, if it makes no sense.
+/// Name of the place of a step that is pasted, for errors.
 const CLIPBOARD: &str = "the clipboard";
 
 /// Steps as a text, with all their strokes and selections in it. Files among their parameters are named by

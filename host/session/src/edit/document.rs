@@ -57,7 +57,7 @@ pub enum EditCommand {
     Group {
         /// The places of the steps that become a group.
         steps: Range<usize>,
-        /// What the group is called.
+        /// The group's name.
         #[serde(default)]
         name: Option<String>,
     },
@@ -72,7 +72,7 @@ pub enum EditCommand {
     EnableGroup {
         /// The place of one of them.
         at: usize,
-        /// Whether the group's steps are switched on.
+        /// Whether the group's steps are to be switched on.
         enabled: bool,
     },
     /// The steps of a group get other places, one after the other.
@@ -160,7 +160,7 @@ pub enum Change {
     SetRefine(Refine),
 }
 
-/// What a drag changes again and again.
+/// Part of a document that a drag changes again and again.
 #[derive(Debug, Clone, PartialEq)]
 enum DragTarget {
     Param(StepId, String),
@@ -175,14 +175,14 @@ enum DragTarget {
 #[derive(Debug, Default)]
 pub struct Document {
     steps: Arc<[Entry]>,
-    /// What was done, oldest first, with the steps before it.
+    /// Changes that were done, oldest first, with the steps before them.
     undo: VecDeque<(String, Arc<[Entry]>)>,
-    /// What was undone, oldest first, with the steps after it.
+    /// Changes that were undone, oldest first, with the steps after them.
     redo: Vec<(String, Arc<[Entry]>)>,
     next: u64,
-    /// How many changes have been done, less those undone.
+    /// Number of changes that have been done, less those undone.
     depth: u64,
-    /// What the last command changed, if the next one of the same is part of it.
+    /// Part that the last command changed, if a next command on the same part belongs to it.
     dragged: Option<DragTarget>,
     /// Steps that were switched off for another one.
     silenced: Vec<StepId>,
@@ -238,7 +238,7 @@ impl Document {
         self.done(label.to_owned(), before);
     }
 
-    /// What was done can be undone.
+    /// Records a change, which can be undone.
     fn done(&mut self, label: String, before: Arc<[Entry]>) {
         self.undo.push_back((label, before));
         self.depth += 1;
@@ -276,18 +276,18 @@ impl Document {
         is_alone(&self.steps, at)
     }
 
-    /// How many changes have been done, however many of them can still be undone: it goes down by one with
-    /// each that is.
+    /// Number of changes that have been done, however many of them can still be undone: each change that is
+    /// undone lowers it by one.
     pub fn depth(&self) -> u64 {
         self.depth
     }
 
-    /// What [`undo`](Self::undo) would take back.
+    /// Label of the change that [`undo`](Self::undo) would take back.
     pub fn can_undo(&self) -> Option<&str> {
         self.undo.back().map(|(label, _)| label.as_str())
     }
 
-    /// What [`redo`](Self::redo) would do again.
+    /// Label of the change that [`redo`](Self::redo) would do again.
     pub fn can_redo(&self) -> Option<&str> {
         self.redo.last().map(|(label, _)| label.as_str())
     }
@@ -492,7 +492,7 @@ fn group(steps: &[Entry], at: usize) -> Result<Range<usize>> {
     groups::group_at(steps, at).ok_or_else(none)
 }
 
-/// Whether all deformations but that at a place are switched off, and there are others.
+/// Whether all deformations but the one at a place are switched off, and there are others.
 fn is_alone(steps: &[Entry], at: usize) -> bool {
     let is_other = |(place, entry): &(usize, &Entry)| *place != at && entry.step.deformation().is_some();
     let mut others = steps.iter().enumerate().filter(is_other).peekable();

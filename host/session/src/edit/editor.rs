@@ -23,10 +23,10 @@ use std::time::SystemTime;
 /// An edit with its files. It is quick to work on: the model itself is in the [`Evaluation`] that comes with
 /// it, which may be on another thread.
 pub struct Editor {
-    /// What it is called, and all but the steps.
+    /// The session with its name and all but the steps.
     session: SessionFile,
     path: Option<PathBuf>,
-    /// What it is kept beside while it has no file.
+    /// Path beside which the edit is kept against a crash while it has no file.
     opened: PathBuf,
     document: Document,
     plugins: Arc<PluginRegistry>,
@@ -92,20 +92,21 @@ impl Editor {
         (Self { session, path, opened, document, plugins, saved, kept }, evaluation)
     }
 
-    /// This editor, of what is in no file that was saved, as what was [kept against a crash](recover).
+    /// Returns this editor, of an edit that is in no saved file, such as one that was [kept against a
+    /// crash](recover).
     #[must_use]
     pub fn unsaved(self) -> Self {
         Self { saved: None, ..self }
     }
 
-    /// This editor, opened by another path than its model's, as by the folder of its samples: what it is kept
-    /// beside until it has a file.
+    /// Returns this editor, opened by another path than its model's, as by the folder of its samples: beside
+    /// that path the edit is kept until it has a file.
     #[must_use]
     pub fn opened_by(self, path: &Path) -> Self {
         Self { opened: path.to_owned(), ..self }
     }
 
-    /// What turns with the surface besides normals, when the model is written.
+    /// Attributes that turn with the surface besides normals, when the model is written.
     pub fn follow(&self) -> Follow {
         Follow::default().or_declared(&self.session.follow)
     }
@@ -135,7 +136,7 @@ impl Editor {
         self.session.model.as_deref()
     }
 
-    /// Where the deformed model goes, if the session says so.
+    /// Path of the deformed model, if the session names it.
     pub fn output(&self) -> Option<&Path> {
         self.session.output.as_deref()
     }
@@ -150,7 +151,7 @@ impl Editor {
         self.session.output = Some(output);
     }
 
-    /// Whether the session's file has all that was done.
+    /// Whether the session's file has all changes.
     pub fn is_saved(&self) -> bool {
         self.path.is_some() && self.is_as_saved()
     }
@@ -260,17 +261,17 @@ fn autosave_path(session: &Path) -> PathBuf {
     folder_of(session).join(name)
 }
 
-/// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the
-/// program ended; nothing where all was saved.
+/// Session that was kept of an edit of `path` (a session or, where the edit had no file yet, a model) that
+/// was not saved before the program ended; none where all was saved.
 ///
 /// # Errors
-/// There is something, but it cannot be read.
+/// A session was kept, but it cannot be read.
 pub fn recover(path: &Path) -> Result<Option<SessionFile>> {
     let kept = autosave_path(path);
     if !kept.exists() { Ok(None) } else { SessionFile::load(&kept).map(Some) }
 }
 
-/// When something was kept of a session or a model that was not saved before the program ended, if it was.
+/// Time at which an unsaved edit of a session or a model was kept before the program ended, if one was.
 pub fn kept_at(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(autosave_path(path)).and_then(|kept| kept.modified()).ok()
 }

@@ -39,7 +39,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// How a step fared that was done.
+    /// Status of a step that was done, or tried.
     ///
     /// # Errors
     /// The user cancelled.
@@ -52,19 +52,19 @@ impl Status {
     }
 }
 
-/// What became of the samples.
+/// Result of the steps on the samples.
 pub struct Evaluated {
     /// The model with its samples at rest, those of refinements among them.
     pub sampled: Arc<SampledModel>,
     /// Local positions after the last step that was done, one for each sample.
     pub positions: Arc<[Vec3]>,
-    /// How each step fared, in their order.
+    /// Status of each step, in their order.
     pub statuses: Vec<(StepId, Status)>,
-    /// Where the steps of plugins that take joints put the handles that they placed: local coordinates, one
-    /// for each handle. Not of those whose map is not known.
+    /// Positions to which the steps of plugins that take joints move the handles that they placed: local
+    /// coordinates, one for each handle. None of steps whose map is not known.
     pub posed: Vec<(StepId, Arc<[DVec3]>)>,
-    /// What each step began with, up to the one that failed, in their order: local positions, of fewer
-    /// samples if refinements follow. There its regions, strokes and joints are.
+    /// Positions that each step began with, up to the one that failed, in their order: local positions, of
+    /// fewer samples if refinements follow. The step's regions, strokes and joints are in that space.
     pub before: Vec<Arc<[Vec3]>>,
     /// The exact map of the steps that were done, where all plugins know it.
     pub stack: PreparedStack,
@@ -79,7 +79,7 @@ impl Evaluated {
         })
     }
 
-    /// What came of the steps, with what users should know of the plugins that did the steps: see
+    /// Returns the result with notices that users should know of the plugins that did the steps: see
     /// [`PluginRegistry::notices`].
     #[must_use]
     pub fn with_notices(mut self, steps: &[Entry], registry: &PluginRegistry) -> Self {
@@ -154,7 +154,7 @@ pub fn turning_gradients(
     known_gradients(sampled, &map).map(Some)
 }
 
-/// What the plugins had to say.
+/// Messages of the plugins.
 ///
 /// # Errors
 /// The first step that could not be done.
@@ -178,9 +178,9 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
 /// let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
-    /// Where the samples are before the first step, if not at rest.
+    /// Positions of the samples before the first step, local coordinates, if not at rest.
     start: Option<Arc<[Vec3]>>,
-    /// What the first step begins with, from the first time on.
+    /// Rest shape of the first step, from the first time on.
     beginning: Option<Arc<LayerRest>>,
     how: Refinements,
     known: HashMap<StepId, StepState>,
@@ -192,7 +192,7 @@ pub struct Evaluation {
 pub struct Refinements {
     /// The model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
-    /// Where temporary files without a name are made.
+    /// Folder in which temporary files without a name are made.
     pub folder: PathBuf,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
@@ -200,7 +200,7 @@ pub struct Refinements {
     pub time: Time,
 }
 
-/// What is known of a step.
+/// State of a step as it was done last.
 enum StepState {
     Deform {
         step: Arc<Step>,
@@ -315,7 +315,7 @@ impl Evaluation {
         Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, posed, before, stack })
     }
 
-    /// What the first step begins with: made once, as a drag asks for it in each picture.
+    /// Rest shape of the first step: made once, as a drag asks for it in each picture.
     ///
     /// # Errors
     /// The samples cannot be deformed at all.
@@ -325,7 +325,7 @@ impl Evaluation {
         }
         let start = self.start.clone();
         let rest = with_shape(&self.sampled, |shape| match start {
-            // What it stands for is the same each time.
+            // Key of the start, which is the same each time.
             Some(positions) => shape.rest_at(positions, 1),
             None => shape.rest(0),
         })?;
@@ -341,8 +341,8 @@ impl Evaluation {
         }
     }
 
-    /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for
-    /// a place bends the bones above it, whose handles have not moved.
+    /// Positions of the handles that a step's plugin placed, after the step, if the plugin takes joints: an
+    /// end that reaches for a place bends the bones above it, whose handles have not moved.
     fn posed(&self, id: StepId, done: &LayerResult, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
         let handles = self.handles(id).filter(|handles| !handles.descs.is_empty())?;
         let Some(StepState::Deform { layer, .. }) = self.known.get(&id) else { return None };
@@ -404,7 +404,7 @@ impl Evaluation {
         match Layer::build(deformation, &step.place, registry, before.as_ref().map(|(_, layer)| &**layer)) {
             Ok(layer) => Ok((Box::new(layer), kept)),
             Err(e) => {
-                // What is wrong may be corrected.
+                // The step may be corrected: its former layer is kept.
                 if let Some((step, layer)) = before {
                     self.known.insert(id, StepState::Deform { step, layer, kept });
                 }
@@ -479,7 +479,7 @@ impl Evaluation {
     }
 }
 
-/// Why a deformation gets no more samples.
+/// Reason for which a deformation gets no more samples.
 fn no_more_samples(need: &SamplesNeed) -> String {
     if need.is_met {
         return "the deformation needs no more samples".to_owned();
@@ -489,7 +489,7 @@ fn no_more_samples(need: &SamplesNeed) -> String {
     format!("nothing is refined: {more}, but {}", SamplesNeed::NONE_LEFT)
 }
 
-/// Why a refinement adds nothing.
+/// Reason for which a refinement adds nothing.
 fn nothing_to_refine(finer: Finer) -> &'static str {
     match finer {
         Finer::Error(error) if error > 0.0 => "nothing is refined: no cluster there has a larger error",

@@ -69,7 +69,7 @@ fn makefile(units: &[Unit], program: &str) -> String {
     };
     let parts: Vec<String> = units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
     if !parts.is_empty() {
-        // These files are removed in the end, and not made again for that.
+        // Units remove these files in the end, and make does not make them again for that.
         let _ = writeln!(text, ".SECONDARY: {}\n", parts.join(" "));
     }
     for Unit { number, stage, after, .. } in units {

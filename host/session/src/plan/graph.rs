@@ -11,13 +11,13 @@ use simod_model::{ModelName, Normals, Result};
 use super::units::{Planned, Stage, Unit, check_units, read};
 use crate::session_file::SessionTime;
 
-/// What is written on the first line of `plan.toml`.
+/// Format that the first line of `plan.toml` names.
 pub(super) const FORMAT: &str = "simod-plan/1";
 
 /// The counts of all vertices.
 pub(super) const COUNTS: &str = "counts.bin";
 
-/// Where runs of faces begin, where that has to be found.
+/// Starts of runs of faces, where these have to be found.
 pub(super) const FACE_RUNS: &str = "face-runs.bin";
 
 /// The cut through all trees, where faces have a say in what becomes of it.
@@ -58,7 +58,7 @@ pub struct Plan {
     /// The session's file, and the hash of what it says.
     pub(super) session: PathBuf,
     pub(super) session_hash: String,
-    /// Where the deformed model goes.
+    /// Path of the deformed model.
     pub(super) output: PathBuf,
     /// The model, where it is; of one of several tiles, a pattern that they have in common.
     pub(super) model: PathBuf,
@@ -69,10 +69,10 @@ pub struct Plan {
     pub(super) model_bytes: u64,
     /// Number of its vertices.
     pub(super) vertices: u64,
-    /// Why it is not divided, if it is not.
+    /// Reason for which the model is not divided, if it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) undivided: Option<String>,
-    /// What units write down for each other.
+    /// Files that units write for each other.
     pub(super) exchange: Exchange,
     pub(super) options: Recorded,
     #[serde(rename = "unit")]
@@ -85,7 +85,7 @@ pub struct Plan {
 pub struct Exchange {
     /// So many bytes at most, which it comes to where vertices come in no order.
     pub at_most_bytes: u64,
-    /// Why one unit samples the model, if it does.
+    /// Reason for which one unit samples the model, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub undivided: Option<String>,
 }
@@ -104,7 +104,7 @@ pub(super) struct Recorded {
     /// Samples have more than the steps need.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) whole_samples: bool,
-    /// Whether splats turn.
+    /// Whether splats turn with the surface.
     pub(super) splats: bool,
     pub(super) opacity: Opacity,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -128,7 +128,7 @@ impl Planned for Plan {
 
     fn check(&self) -> Result<(), String> {
         check_units(&self.units)?;
-        // What comes before the vertices is of no unit that applies the deformation.
+        // The bytes before the vertices belong to no unit that applies the deformation.
         let (mut vertices, mut pieces) = (Some(0), None);
         let mut parts = [0; 4];
         for (number, unit) in self.units.iter().enumerate() {
@@ -202,7 +202,7 @@ impl Plan {
         &self.units
     }
 
-    /// Where the deformed model goes.
+    /// Path of the deformed model.
     pub fn output(&self) -> &Path {
         &self.output
     }
@@ -226,12 +226,13 @@ impl Plan {
         self.vertices
     }
 
-    /// Why the model is not divided, if it is not.
+    /// Reason for which the model is not divided, if it is not.
     pub fn undivided(&self) -> Option<&str> {
         self.undivided.as_deref()
     }
 
-    /// What units write down for each other, and why one samples the model alone, if it does.
+    /// Size of the files that units write for each other, and the reason for which one unit samples the model
+    /// alone, if it does.
     pub fn exchange(&self) -> &Exchange {
         &self.exchange
     }

@@ -44,11 +44,11 @@ const LONGEST: u64 = 1 << 38;
 pub struct UnitDone {
     /// The unit was done before, and nothing had to be.
     pub was_done: bool,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
-    /// How many vertices are in cells that ranges share, once that is known.
+    /// Number of vertices in cells that ranges share, once that is known.
     pub shared_vertices: Option<u64>,
-    /// What was written, by the last unit.
+    /// Report on the model that was written, by the last unit.
     pub written: Option<Reconstructed>,
 }
 
@@ -124,7 +124,7 @@ impl UnitRun<'_> {
         Ok((session, sampling))
     }
 
-    /// Where runs of faces begin.
+    /// Finds the starts of runs of faces.
     fn face_runs(&self) -> Result<UnitDone> {
         let session = self.session()?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -187,7 +187,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// What units leave each other to know of the faces.
+    /// Files by which units tell each other about the faces.
     fn of_faces(&self) -> OfFaces {
         let ranges = 0..self.plan.files_of(self.folder, Stage::Cluster).len();
         let of = |name: &str| ranges.clone().map(|range| self.path(&format!("{name}-{range}.bin"))).collect();
@@ -338,7 +338,7 @@ impl UnitRun<'_> {
         if path.exists() { input::read_text(&path, LONGEST_ID).map(Some) } else { Ok(None) }
     }
 
-    /// What parts share: the output itself, if it is an object.
+    /// Target that the parts share: `file`, or the output itself if it is an object.
     fn shared_by<'b>(&'b self, file: &'b Path, upload: Option<&'b str>) -> SharedTarget<'b> {
         upload.map_or(SharedTarget::File(file), |id| SharedTarget::Object(&self.plan.output, id))
     }
@@ -406,7 +406,7 @@ impl UnitRun<'_> {
         )
     }
 
-    /// What the units before have left for the writing of the model.
+    /// Loads the files that the units before have left for the writing of the model.
     fn edit(&self) -> Result<WritingInputs> {
         let of = if self.path(REFINED).is_dir() { REFINED } else { SAMPLED };
         let sampled = SampledModel::load(&self.path(of))?;

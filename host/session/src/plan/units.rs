@@ -11,7 +11,7 @@ use simod_model::{Error, Result, input};
 /// The plan itself.
 pub const PLAN: &str = "plan.toml";
 
-/// What the last unit leaves.
+/// File that the last unit leaves.
 pub const FINISHED: &str = "finished.toml";
 
 /// No plan is longer: of a million units.
@@ -60,8 +60,8 @@ impl Unit {
 pub enum Stage {
     /// Vertices of a range are counted per cell.
     Count,
-    /// Where faces have a say, and are not all triangles: it is found where in the file each run of them
-    /// begins.
+    /// The starts of the runs of faces in the file are found, where faces have a say, and are not all
+    /// triangles.
     FaceRuns,
     /// The counts are added up, where clustering is divided.
     Merge,
@@ -72,7 +72,7 @@ pub enum Stage {
     ClusterShared,
     /// The samples are those of a cut through all clusters.
     Cut,
-    /// Where faces have a say: the sample of each vertex of a range is looked up.
+    /// The sample of each vertex of a range is looked up, where faces have a say.
     Members,
     /// A range of the faces is read for what it tells of the samples.
     Faces,
@@ -90,7 +90,7 @@ pub enum Stage {
     Write,
     /// A method of a comparison is done.
     Method,
-    /// What the methods came to is compared.
+    /// The results of the methods are compared.
     Page,
 }
 
@@ -120,7 +120,7 @@ impl Stage {
 
 /// The content of a `plan.toml`, of whatever.
 pub trait Planned: DeserializeOwned {
-    /// What its first line says.
+    /// Format that the file's first line names.
     const FORMAT: &str;
     /// The command that makes the plan again.
     const COMMAND: &str;
@@ -128,7 +128,7 @@ pub trait Planned: DeserializeOwned {
     /// The format that it says it is in, and the version of the program that made it.
     fn head(&self) -> [&str; 2];
 
-    /// What makes no sense, if anything.
+    /// Checks the plan; the error names what makes no sense.
     fn check(&self) -> Result<(), String>;
 }
 
@@ -192,7 +192,8 @@ pub fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
     }
 }
 
-/// What of any plan's units makes no sense: a unit's number, what it comes after, or where it writes.
+/// Checks the units of any plan: each one's number, the units that it comes after, and the path that it
+/// writes.
 pub fn check_units(units: &[Unit]) -> Result<(), String> {
     for (number, unit) in units.iter().enumerate() {
         let wrong = |what: &str| Err(format!("unit {number} {what}"));

@@ -1,5 +1,5 @@
-//! What libraries said about themselves when they were looked at last, so that they need not be loaded to be
-//! listed.
+//! Descriptions that libraries gave of themselves when they were looked at last, so that they need not be
+//! loaded to be listed.
 //!
 //! A file in the user's cache folder, by the libraries' paths and stamps. It may be missing, or broken, or
 //! not writable: then the libraries are asked again.
@@ -17,7 +17,7 @@ const FORM: u32 = 2;
 /// No cache is longer.
 const LONGEST: u64 = 64 << 20;
 
-/// What tells one state of a file from another.
+/// Stamp of a file, by which one state of the file is told from another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LibraryStamp {
     len: u64,
@@ -74,7 +74,7 @@ impl LibraryCache {
         Self { content: content.unwrap_or_else(empty), changed: false, file }
     }
 
-    /// What a library said, if it is as it was then.
+    /// Returns the description that a library gave, if its file is as it was then.
     pub fn get(&self, path: &Path, stamp: LibraryStamp) -> Option<About> {
         let entry = self.content.libraries.get(path)?;
         (entry.stamp == stamp).then(|| entry.about.clone())
@@ -98,7 +98,7 @@ impl LibraryCache {
     }
 }
 
-/// Where the user's cache is.
+/// Standard path of the cache, in the user's cache folder.
 pub(super) fn standard_file() -> Option<PathBuf> {
     let cache = super::folders::users_folder("LOCALAPPDATA", "Library/Caches", "XDG_CACHE_HOME", ".cache");
     cache.map(|cache| cache.join("simod").join("plugins.json"))

@@ -34,7 +34,7 @@ pub const PATH_VARIABLE: &str = "SIMOD_PLUGIN_PATH";
 pub struct Rejected {
     /// The library's file, or a folder that could not be read.
     pub path: PathBuf,
-    /// Why.
+    /// The reason for the rejection.
     pub error: Error,
 }
 
@@ -50,7 +50,7 @@ pub struct Duplicate {
     pub unused: PathBuf,
     /// The version of the one that is not.
     pub unused_version: String,
-    /// Whether the one that is not came with the program.
+    /// Whether the library that is not used came with the program.
     pub unused_is_shipped: bool,
 }
 
@@ -61,7 +61,7 @@ pub struct PluginFolder {
     pub path: PathBuf,
     /// Whether only files named like plugins count (`libsimod_*.so` and its like), rather than every library.
     pub by_name: bool,
-    /// Whether its plugins came with the program.
+    /// Whether the folder's plugins came with the program.
     pub shipped: bool,
 }
 
@@ -88,7 +88,7 @@ impl Isolation {
     }
 }
 
-/// How plugins are looked for and run.
+/// Options of looking for plugins and running them.
 #[derive(Debug, Clone)]
 pub struct PluginOptions {
     /// Libraries to use whatever others of their ids there are.
@@ -97,10 +97,10 @@ pub struct PluginOptions {
     pub folders: Vec<PluginFolder>,
     /// The plugins that run in processes of their own.
     pub isolation: Isolation,
-    /// How these processes are run.
+    /// Options of these processes.
     #[cfg(unix)]
     pub worker: Arc<WorkerOptions>,
-    /// Where to remember what libraries are, if at all.
+    /// File in which to remember what libraries are, if at all.
     pub cache: Option<PathBuf>,
 }
 
@@ -112,9 +112,8 @@ impl PluginOptions {
         Self { chosen: Vec::new(), folders, isolation, worker: Arc::new(worker), cache }
     }
 
-    /// Where plugins are looked for by another program that has this one's libraries within itself: its
-    /// plugins are those of `program`, beside which they lie, and which runs them where they have processes
-    /// of their own.
+    /// Options for another program that has this one's libraries within itself: its plugins are those of
+    /// `program`, beside which they lie, and which runs them where they have processes of their own.
     #[cfg(unix)]
     pub fn of_program(program: &Path) -> Self {
         let worker = WorkerOptions::for_program(program);
@@ -143,10 +142,10 @@ pub struct Slow {
     pub time: Duration,
 }
 
-/// What longer takes is told.
+/// Time of loading above which a library is reported as slow.
 const SLOW: Duration = Duration::from_millis(500);
 
-/// How long a library may take to say what it is.
+/// Longest time that a library may take to describe itself.
 #[cfg(unix)]
 const INTRODUCTION: Duration = Duration::from_secs(10);
 
@@ -185,7 +184,7 @@ fn folders_of(program: Option<&Path>) -> Vec<PluginFolder> {
     folders
 }
 
-/// Where a user installs plugins.
+/// Folder in which a user installs plugins.
 fn user_folder() -> Option<PathBuf> {
     let data =
         folders::users_folder("APPDATA", "Library/Application Support", "XDG_DATA_HOME", ".local/share");
@@ -307,7 +306,7 @@ impl PluginRegistry {
         Ok(())
     }
 
-    /// Whether a library is used whatever others of its id there are.
+    /// Whether a library was chosen, and so is used whatever others of its id there are.
     fn is_chosen(&self, plugin: &Plugin) -> bool {
         plugin.path().canonicalize().is_ok_and(|path| self.chosen.contains(&path))
     }
@@ -335,7 +334,7 @@ impl PluginRegistry {
         });
     }
 
-    /// What users of these steps should know of the plugins that do them: one that came from elsewhere takes
+    /// Notices for users of these steps on the plugins that do them: a plugin that came from elsewhere takes
     /// the place of the program's own, or a step was made with another version.
     pub fn notices(&self, steps: &[Step]) -> Vec<String> {
         let mut notices = Vec::new();
@@ -380,7 +379,7 @@ impl PluginRegistry {
         &self.open
     }
 
-    /// Why a library that was chosen is not used, if so.
+    /// Reason for which a library that was chosen is not used, if so.
     pub fn refused_choice(&self) -> Option<&Error> {
         let is_chosen = |r: &&Rejected| {
             let path = r.path.canonicalize().unwrap_or_else(|_| r.path.clone());
@@ -404,12 +403,12 @@ impl PluginRegistry {
         self.seen.keys().map(PathBuf::as_path)
     }
 
-    /// What could not be used, and why.
+    /// Libraries that could not be used, and the reasons.
     pub fn rejected(&self) -> &[Rejected] {
         &self.rejected
     }
 
-    /// What is not used since there is another of the same id.
+    /// Libraries that are not used since there is another of the same id.
     pub fn duplicates(&self) -> &[Duplicate] {
         &self.duplicates
     }

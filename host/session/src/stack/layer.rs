@@ -25,12 +25,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 #[derive(Debug)]
 pub(crate) struct Layer {
-    /// Where in the session it stands; for errors.
+    /// Place of the step in the session, for errors.
     pub place: String,
     pub plugin: Arc<Plugin>,
-    /// What was changed when the step was brought up to the plugin.
+    /// Changes that were made when the step was brought up to the plugin.
     notes: Notes,
-    /// What the session gives, and what became of it.
+    /// Parameters as the session gives them, and (`params`) as they were checked.
     given: toml::Table,
     params: Arc<Params>,
     /// Fixed and handle regions.
@@ -51,7 +51,7 @@ pub(crate) struct Layer {
 pub(crate) struct LayerResult {
     /// Deformed positions, local coordinates.
     pub positions: Arc<[Vec3]>,
-    /// What the plugin had to say.
+    /// Messages of the plugin.
     pub messages: Vec<Message>,
     plugin: Arc<Plugin>,
     /// Nothing where the plugin said that it would not move anything.
@@ -61,17 +61,17 @@ pub(crate) struct LayerResult {
     share: Share,
 }
 
-/// How much of what the plugin does becomes of each point.
+/// Share of the plugin's displacement that each point takes.
 #[derive(Debug, Clone)]
 struct Share {
     /// The amount of the step that is done, from 0 to 1.
     amount: f64,
-    /// Where the layer acts; everywhere if there is none.
+    /// Regions in which the layer acts; it acts everywhere if there are none.
     masks: Vec<Shapes>,
 }
 
 impl Share {
-    /// Whether it is all, everywhere.
+    /// Whether the share is the whole displacement, everywhere.
     fn is_whole(&self) -> bool {
         self.amount == 1.0 && self.masks.is_empty()
     }
@@ -90,12 +90,12 @@ impl Share {
 struct Preparation {
     state: api::State,
     rest: Arc<LayerRest>,
-    /// Where the plugin asks for them.
+    /// Attributes of the samples, where the plugin asks for them.
     attributes: Option<Arc<SampleAttributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
-    /// What the plugin finds and has to leave as it is; and how often it was called since all of that was
-    /// looked at.
+    /// Fingerprint of the samples that the plugin finds and has to leave as they are; and (`unchecked`) the
+    /// number of calls since all of them were compared.
     fingerprint: Option<Fingerprint>,
     unchecked: AtomicUsize,
     messages: Vec<Message>,
@@ -105,12 +105,12 @@ struct Preparation {
 const FEW_SAMPLES: usize = 20_000;
 
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. After a draft a part of
-    /// it is looked at, each in its turn, as all of it takes as long as a quick deformation; and all with the
-    /// result.
+    /// Checks that the plugin has not changed the samples that it was called with: later layers work on them,
+    /// too. After a draft a part of them is compared, each in its turn, as comparing all takes as long as a
+    /// quick deformation; and all with the result.
     ///
     /// # Errors
-    /// The plugin has changed it.
+    /// The plugin has changed the samples.
     fn check_unchanged(&self, plugin: &Plugin, effort: api::Effort) -> Result<()> {
         let calls = self.unchecked.load(Ordering::Relaxed);
         let is_long = self.rest.positions.len() > FEW_SAMPLES;
@@ -239,7 +239,7 @@ impl Layer {
         Ok(layer)
     }
 
-    /// What the session gives, and defaults.
+    /// Parameters of the session, and defaults.
     pub fn params(&self) -> &Params {
         &self.params
     }
@@ -264,7 +264,7 @@ impl Layer {
         Ok(())
     }
 
-    /// What the plugin does not use is not given to it.
+    /// Checks that the session gives only what the plugin uses.
     fn check_used(&self) -> Result<()> {
         let consumes = self.plugin.consumes();
         let given = [
@@ -300,7 +300,7 @@ impl Layer {
         let is_identity = self.share.amount == 0.0
             || motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))?;
         if is_identity {
-            // What comes after it need not be done again.
+            // Steps after this one need not be done again.
             let positions = rest.positions.clone();
             return Ok((rest.clone(), self.done(None, rest, positions, watch.into_messages(), motions)));
         }
@@ -349,7 +349,7 @@ impl Layer {
         Ok(self.done(Some(preparation), &rest, deformed?, messages, motions))
     }
 
-    /// What was done, with the notes on the step before what its plugin had to say.
+    /// Result of the layer, with the notes on the step before the messages of its plugin.
     fn done(
         &self,
         preparation: Option<Arc<Preparation>>,
@@ -370,7 +370,7 @@ impl Layer {
         Message::warning(self.plugin.id(), format!("{place}{note}"))
     }
 
-    /// What the plugin prepared for this rest shape, or prepares now.
+    /// State that the plugin prepared for this rest shape, or prepares now.
     fn preparation(
         &self,
         key: u64,
@@ -439,7 +439,7 @@ impl Layer {
         Ok(Arc::new(LayerRest { normals, normals_fit: true, ..(**rest).clone() }))
     }
 
-    /// What a preparation depends on.
+    /// Key of all that a preparation depends on.
     fn preparation_key(&self, rest_key: u64) -> u64 {
         let prepares =
             |id: &str| self.plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
@@ -749,7 +749,7 @@ impl Motions {
 }
 
 impl LayerResult {
-    /// Whether its map is known at any point of space.
+    /// Whether the layer's map is known at any point of space.
     pub fn can_evaluate(&self) -> bool {
         self.preparation.is_none() || self.plugin.capabilities().evaluate
     }

@@ -52,12 +52,12 @@ impl Stack {
         Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
 
-    /// How many layers there are.
+    /// Number of layers.
     pub fn len(&self) -> usize {
         self.layers.len()
     }
 
-    /// Whether nothing is deformed at all.
+    /// Whether no layer deforms the samples.
     pub fn is_empty(&self) -> bool {
         self.layers.is_empty()
     }
@@ -155,7 +155,7 @@ mod tests {
         Arc::new(sampled)
     }
 
-    /// Where a session's steps take its samples, local coordinates.
+    /// Positions to which a session's steps take its samples, local coordinates.
     fn deformed(session: &str, registry: &PluginRegistry, of: Arc<SampledModel>) -> Result<Vec<Vec3>> {
         let session = SessionFile::parse(session, Path::new("s.toml"))?;
         let frame = of.frame;

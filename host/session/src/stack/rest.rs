@@ -36,8 +36,8 @@ pub(crate) struct RestShape<'a> {
     pub neighbours: Option<&'a NeighbourGraph>,
     /// Colours and other attributes of the samples, where they were asked for.
     pub attributes: Option<&'a Arc<SampleAttributes>>,
-    /// Where temporary files without a name are made, for other models that plugins take; the system's own
-    /// place if it is empty.
+    /// Folder in which temporary files without a name are made, for other models that plugins take; the
+    /// system's own folder if it is empty.
     pub folder: &'a Path,
     /// The map between model and local coordinates.
     pub frame: Frame,
@@ -78,12 +78,12 @@ pub(crate) fn not_one_per_sample(what: &str) -> Error {
 }
 
 impl RestShape<'_> {
-    /// What the first layer starts from; `key` stands for it.
+    /// Rest shape of the first layer; `key` stands for it.
     pub(crate) fn rest(&self, key: u64) -> Result<LayerRest> {
         self.rest_at(self.positions.into(), key)
     }
 
-    /// What a layer starts from at other positions, as layers before have left them.
+    /// Rest shape of a layer at other positions, as layers before have left them.
     pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<LayerRest> {
         self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
@@ -97,7 +97,7 @@ impl RestShape<'_> {
         })
     }
 
-    /// What a layer starts from at positions that `former` was made of, once more.
+    /// Rest shape of a layer at new positions, with all else as in `former`.
     pub(crate) fn rest_again(
         &self,
         former: &LayerRest,
@@ -133,7 +133,7 @@ impl RestShape<'_> {
     }
 }
 
-/// Where the neighbours of each sample begin, and all of them.
+/// Index of each sample's first neighbour, and the neighbours of all samples.
 pub fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }

@@ -132,18 +132,18 @@ impl Arena {
     }
 }
 
-/// Where the control block is.
+/// Range of the control block.
 pub(super) const CONTROL: ArenaRange = ArenaRange { offset: 0, len: ALIGNMENT };
 
-/// What both processes look at during a call.
+/// State that both processes look at during a call.
 #[repr(C)]
 #[derive(Default)]
 pub(super) struct Control {
-    /// Whether the worker shall stop.
+    /// Whether the worker shall stop; not 0 if so.
     pub cancel: AtomicU32,
     /// Grows with every sign of life.
     beats: AtomicU32,
-    /// How much of the call is done, as the bits of a double.
+    /// Fraction of the call that is done, as the bits of a double.
     progress: AtomicU64,
 }
 

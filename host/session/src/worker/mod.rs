@@ -31,24 +31,24 @@ pub use serve::serve;
 /// Time between two looks at the user's wish to stop.
 const INTERVAL: Duration = Duration::from_millis(5);
 
-/// How long a plugin may go on when it was asked to stop.
+/// Longest time that a plugin may go on when it was asked to stop.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// How plugins' processes are run.
+/// Options of running plugins' processes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerOptions {
     /// The program, and the arguments that make it call [`serve`] with the three that follow them.
     pub command: Vec<PathBuf>,
-    /// How long a call may go on without any sign of life, as progress is one.
+    /// Longest time that a call may go on without any sign of life, as progress is one.
     pub silence: Duration,
-    /// How much memory a plugin may take, in bytes (on Linux).
+    /// Most memory that a plugin may take, in bytes (on Linux).
     pub memory: u64,
 }
 
-/// How long a plugin in a process of its own may give no sign of life, unless that is said.
+/// Longest time that a plugin in a process of its own may give no sign of life, unless another is given.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How much memory it may take, in bytes, unless that is said.
+/// Most memory that a plugin in a process of its own may take, in bytes, unless another limit is given.
 pub const MEMORY: u64 = 4 << 30;
 
 impl WorkerOptions {
@@ -73,7 +73,8 @@ struct Worker {
     control: ControlMap,
     child: Mutex<Ended>,
     errors: Tail,
-    /// What is to be dropped there before the next call, with the memory that it leaves.
+    /// Requests to drop things in the process, which are sent before the next call, with the memory that each
+    /// leaves.
     drops: Mutex<Vec<(Request, Option<ArenaRange>)>>,
 }
 
@@ -266,7 +267,8 @@ impl Code for WorkerCode {
         let motion = MotionRecord::new(input);
         let mut link = lock(&worker.link);
         let range = link.arena.allocate(size_of_val(out)).map_err(no_memory)?;
-        // What is not written shows by what the caller has filled all of it with.
+        // Positions that the plugin does not write show by the value with which the caller has filled all of
+        // them.
         let fill = out.first().copied().unwrap_or_default();
         let array = bytemuck::cast_slice_mut(out);
         let slice = Slice { range, len: array.len() as u64 };
@@ -416,7 +418,7 @@ impl Worker {
         let mut child = serving(library, options, theirs, &arena).and_then(Ended::start).map_err(refused)?;
         let errors = Tail::read(child.stderr());
         let replies = replies(&socket).map_err(refused)?;
-        // Where it has ended already, that is told below.
+        // A process that has ended already is reported below.
         let _ = protocol::send(&mut socket, &Request::Load);
         let this = Self {
             link: Mutex::new(ProcessLink { socket, replies, arena, is_dead: false }),
@@ -497,7 +499,7 @@ impl Worker {
         }
     }
 
-    /// How the process ended that does not answer any more.
+    /// End of a process that does not answer any more.
     fn death(&self) -> CallEnd {
         let status = lock(&self.child).end();
         let errors = self.errors.text();
@@ -532,7 +534,7 @@ fn serving(
     Ok(command)
 }
 
-/// What a process says, read by a thread of its own until it ends.
+/// Replies of a process, read by a thread of their own until the process ends.
 fn replies(socket: &UnixStream) -> std::io::Result<Receiver<Reply>> {
     let (sender, replies) = sync_channel(64);
     let mut reader = socket.try_clone()?;

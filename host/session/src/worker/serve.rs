@@ -40,7 +40,8 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     let shared =
         SharedArena::from_file(File::from(std::io::stdout().as_fd().try_clone_to_owned().map_err(refused)?));
     let control = ControlMap::new(&shared).map_err(refused)?;
-    // What a plugin prints is not to end up in between.
+    // Standard output is the shared memory's file, and standard input the socket: a plugin must not print to
+    // the one, or read from the other.
     rustix::stdio::dup2_stdout(std::io::stderr()).map_err(|e| refused(e.into()))?;
     let nothing = File::open("/dev/null").map_err(refused)?;
     rustix::stdio::dup2_stdin(nothing).map_err(|e| refused(e.into()))?;
@@ -66,7 +67,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     Ok(())
 }
 
-/// What the program asks, read by a thread of its own, which ends the process when nobody asks any more.
+/// Requests of the program, read by a thread of their own, which ends the process when nobody asks any more.
 fn requests(socket: &UnixStream) -> std::io::Result<Receiver<Request>> {
     let mut reader = socket.try_clone()?;
     let (sender, requests) = channel();

@@ -100,10 +100,10 @@ pub(super) unsafe fn handle(pointer: *const SimodHandleDesc) -> PluginResult<Han
     }
 }
 
-/// What a plugin says of its older sessions.
+/// Reads a plugin's description of its older sessions.
 ///
 /// # Safety
-/// The pointers in it are NULL or as the header says.
+/// The pointers in `m` are NULL or as the header says.
 pub(super) unsafe fn migration(m: &SimodMigration) -> PluginResult<Migration> {
     // SAFETY: by the contract, for all that follow.
     unsafe {
@@ -138,7 +138,7 @@ mod tests {
     use std::ffi::c_char;
     use std::ptr::null;
 
-    /// What C makes of an empty initialiser.
+    /// Description of a parameter that C's empty initialiser gives.
     const NOTHING: SimodParamDesc = SimodParamDesc {
         id: null(),
         name: null(),

@@ -53,7 +53,7 @@ impl Texts {
             .map(Self)
     }
 
-    /// These parameters as C has them; they point to these texts.
+    /// Returns the parameters as C has them; they point to the texts of `self`.
     fn params(&self, params: Params<'_>) -> Vec<SimodParam> {
         let params = params.iter().zip(&self.0).map(|(p, (id, text))| SimodParam {
             id: id.as_ptr(),
@@ -105,7 +105,7 @@ impl NamedAttributes {
         Ok(Some(Self(names, attributes)))
     }
 
-    /// These attributes as an input of C's; it points to these names.
+    /// Returns the attributes as an input of C's; it points to the names of `self`.
     fn input(&self) -> SimodAttributes {
         SimodAttributes { attributes: start(&self.1), count: self.0.len() }
     }

@@ -20,7 +20,7 @@ impl<'a> Ear<'a> {
         Self { calls, told: Mutex::new(None) }
     }
 
-    /// What the plugin gets. It must not outlive this.
+    /// Table of the host's functions that the plugin gets. It must not outlive `self`.
     pub fn host(&self) -> SimodHost {
         SimodHost { context: std::ptr::from_ref(self).cast(), progress, log, error, parallel_for, extension }
     }

@@ -206,7 +206,7 @@ unsafe fn extension<T: Copy>(plugin: &SimodPlugin, id: &CStr) -> Option<T> {
     (!table.is_null() && table.is_aligned()).then(|| unsafe { table.read() })
 }
 
-/// What is not offered is not called.
+/// Reason for which a call expects the plugin to have it: calls that are not offered are not made.
 const OFFERED: &str = "the plugin offers it";
 
 /// Calls the plugin with a host that hears what it says, and makes an error of what is no success.
@@ -360,7 +360,7 @@ fn handle_faces(
     found
 }
 
-/// What `SimodFaceList::add` does: the first face that cannot be read is what is told.
+/// Function behind `SimodFaceList::add`: the first face that cannot be read is reported.
 unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, count: usize) {
     if list.is_null() {
         return;
@@ -377,8 +377,8 @@ unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, cou
     }
 }
 
-/// What `SimodSettingList::set` does: the first setting that cannot be read, or that is one too many, is what
-/// is told.
+/// Function behind `SimodSettingList::set`: the first setting that cannot be read, or that is one too many,
+/// is reported.
 unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const SimodParam) {
     if list.is_null() {
         return;
@@ -400,7 +400,7 @@ unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const Si
     }
 }
 
-/// What `SimodHandleList::add` does: the first handle that cannot be read is what is told.
+/// Function behind `SimodHandleList::add`: the first handle that cannot be read is reported.
 unsafe extern "C" fn add_handle(list: *mut SimodHandleList, handle: *const SimodHandleDesc) {
     if list.is_null() {
         return;
