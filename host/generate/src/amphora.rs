@@ -126,7 +126,7 @@ impl BodyRelief {
     }
 }
 
-/// The distance along the profile at which it first reaches a height, coming from the foot.
+/// Distance along the profile at which the profile first reaches a height, coming from the foot.
 fn distance_at_height(profile: &BSpline, height: f64) -> f64 {
     const STEPS: i32 = 2000;
     let step = profile.length() / f64::from(STEPS);

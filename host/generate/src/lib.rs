@@ -141,7 +141,7 @@ impl Surface {
         self.in_pieces(|piece| self.triangles_of(piece), |triangles| visit(&triangles))
     }
 
-    /// All of it at once, for what is small enough.
+    /// Whole mesh at once, for surfaces that are small enough.
     ///
     /// # Errors
     /// The model has more vertices than 32 bits can count.

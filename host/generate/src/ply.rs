@@ -37,7 +37,7 @@ pub struct ModelOptions {
     pub colors: bool,
     /// Whether to write triangles.
     pub faces: bool,
-    /// Added to all positions, as georeferenced data has it.
+    /// Vector added to all positions, as georeferenced data has it.
     pub offset: DVec3,
 }
 
@@ -68,7 +68,8 @@ pub struct GeneratedInfo {
     pub bytes: u64,
 }
 
-/// Size of the file that [`write_ply`] will write, where it can be told beforehand: not in text.
+/// Size of the file that [`write_ply`] will write, where the encoding lets it be told beforehand: not in
+/// text.
 ///
 /// # Errors
 /// As [`write_ply`] has for its options.

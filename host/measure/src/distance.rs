@@ -32,7 +32,7 @@ pub struct Distances {
 ///
 /// Memory: about 180 bytes for each triangle, and 30 more in the making.
 pub struct DistanceSurface {
-    /// In the order of the leaves.
+    /// Triangles in the order of the tree's leaves.
     facets: Vec<TreeTriangle>,
     tree: TriangleTree,
 }
@@ -49,8 +49,8 @@ pub struct OnSurface {
 }
 
 impl DistanceSurface {
-    /// The triangles between these positions, but for those without an area: their sides belong to others.
-    /// Nothing if none is left.
+    /// Surface of the triangles between these positions, without those that have no area: their sides belong
+    /// to others. None if no triangle is left.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let facets =
             triangles.iter().zip(0..).filter_map(|(t, i)| Some(TreeTriangle(corners(positions, *t)?, i)));
@@ -64,8 +64,8 @@ impl DistanceSurface {
         Some(Self { facets, tree })
     }
 
-    /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where
-    /// `near` is the place of one that is about as near; `waiting` is room for the search.
+    /// Triangle nearest to a point, by its place in the order, and the nearest point of the triangle. Quick
+    /// where `near` is the place of a triangle that is about as near; `waiting` is room for the search.
     fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<QueuedPart>) -> (usize, DVec3) {
         let point = nearest_on(self.facets[near].0, p);
         let (mut best, mut square) = ((near, point), p.distance_squared(point));
@@ -147,7 +147,7 @@ impl DistanceSurface {
 }
 
 impl TreeTriangle {
-    /// A point that is on it but for rounding.
+    /// Point of the triangle, which `position` is but for rounding.
     fn on_surface(&self, position: DVec3) -> OnSurface {
         let [a, b, c] = self.0;
         let normal = cross(self.0);

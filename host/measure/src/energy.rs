@@ -17,12 +17,13 @@ use super::triangle::{Edges, corners, cross};
 /// The energies of a deformed mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Energies {
-    /// As rigid as possible, with spokes and rims: the squared distance of each triangle's gradient from the
-    /// rotations that fit best about its corners.
+    /// Energy of as-rigid-as-possible deformation, with spokes and rims: the squared distance of each
+    /// triangle's gradient from the rotations that fit best about its corners.
     pub arap: f64,
-    /// σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over those that keep an area.
+    /// Symmetric Dirichlet energy: σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over the
+    /// triangles that keep an area.
     pub symmetric_dirichlet: f64,
-    /// The greatest of these energies, of one triangle.
+    /// The greatest symmetric Dirichlet energy of one triangle.
     pub symmetric_dirichlet_max: f64,
     /// Triangles of which no area is left, which would have an infinite one.
     pub collapsed: usize,
@@ -33,11 +34,12 @@ pub struct Energies {
 /// Histograms of amounts over a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histograms {
-    /// Edges, by the binary logarithm of their length over that at rest.
+    /// Histogram of edges, by the binary logarithm of their length over that at rest.
     pub edges: Bins,
-    /// Triangles, by that of their area.
+    /// Histogram of triangles, by the binary logarithm of their area over that at rest.
     pub areas: Bins,
-    /// Triangles, by that of their symmetric Dirichlet energy over its least, which is 4.
+    /// Histogram of triangles, by the binary logarithm of their symmetric Dirichlet energy over its least,
+    /// which is 4.
     pub distortion: Bins,
 }
 
@@ -131,8 +133,8 @@ impl Energies {
 /// A triangle's vertices, and its corners at rest and deformed.
 type BothTriangles = ([u32; 3], [DVec3; 3], [DVec3; 3]);
 
-/// The energy with spokes and rims of all triangles, about each of their corners: how far, squared, their
-/// gradients are from the rotation that fits best there, where `covariances` tell it.
+/// Energy with spokes and rims of all triangles, about each of their corners: the squared distance of the
+/// triangles' gradients from the rotation that fits best there, where `covariances` determine one.
 fn as_rigid_as_possible(all: &[BothTriangles], covariances: &[DMat3]) -> f64 {
     let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
     let energy = |(triangle, before, after): &BothTriangles| {

@@ -34,8 +34,8 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     all > 0 && (all - closed) * 100 <= all
 }
 
-/// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane,
-/// more where it is above, less below.
+/// Open mesh, which encloses a volume with the plane of its border: between each triangle and that plane,
+/// more where the triangle is above, less where it is below.
 pub struct OpenMesh {
     origin: DVec3,
     normal: DVec3,
@@ -57,7 +57,7 @@ impl OpenMesh {
         (length > 0.0).then_some(Self { origin: sum / length, normal: normal.try_normalize()? })
     }
 
-    /// The volume between the mesh and the plane, which stays where it is at rest.
+    /// Volume between the mesh and the plane, which stays where it is at rest.
     pub fn volume(&self, positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let all = triangles.iter().filter_map(|t| corners(positions, *t));
         // A prism: the triangle as seen along the normal, by its mean height.

@@ -97,7 +97,7 @@ impl LaneSums {
         self.greatest[lane] = if x > self.greatest[lane] { x } else { self.greatest[lane] };
     }
 
-    /// In one order, so that the sum is the same whatever the processor takes at once.
+    /// Sum of the lanes in one order, so that it is the same whatever the processor takes at once.
     fn sum(&self) -> f64 {
         self.sums.iter().sum()
     }

@@ -9,7 +9,7 @@ use crate::Type;
 pub struct Attribute {
     /// Name of the attribute in the file, as `red`.
     pub name: String,
-    /// The type of its numbers.
+    /// Type of the attribute's numbers.
     pub kind: Type,
 }
 

@@ -45,7 +45,7 @@ pub struct Cache {
 enum CacheLocation {
     /// A folder for a file without a name.
     Nameless(PathBuf),
-    /// A file in a folder that this process is writing, and what it will be called.
+    /// A file in a folder that this process is writing, and the path that the file will have.
     Claimed(PathBuf, PathBuf),
     /// A file in a folder that others may be writing.
     Shared(PathBuf),
@@ -75,7 +75,7 @@ pub(crate) struct CachedContent {
     /// Size of the content in bytes, the least and the greatest: content of another size was made of the same
     /// model by other means, and is of no use.
     pub bytes: RangeInclusive<u64>,
-    /// Bytes besides, until it is made.
+    /// Bytes of temporary files besides, until the content is made.
     pub meanwhile: u64,
 }
 
@@ -99,18 +99,18 @@ impl Default for Cache {
 }
 
 impl Cache {
-    /// One in a nameless file in `folder`, which is gone with the process.
+    /// Cache in a nameless file in `folder`, which is gone with the process.
     pub fn nameless(folder: &Path) -> Self {
         Self::in_place(CacheLocation::Nameless(folder.to_owned()))
     }
 
-    /// One that is kept in the file `name` of a folder in the making.
+    /// Cache that is kept in the file `name` of a folder in the making.
     pub fn in_new_folder(folder: &OutputFolder, name: &str) -> Self {
         Self::in_place(CacheLocation::Claimed(folder.path().join(name), folder.target().join(name)))
     }
 
-    /// One that is kept in the file `path` of a folder that is there. Where that is being written by others,
-    /// or cannot be, it goes to a nameless file.
+    /// Cache that is kept in the file `path` of a folder that is there. Where others write that file, or it
+    /// cannot be written, the content goes to a nameless file.
     pub fn in_folder(path: &Path) -> Self {
         Self::in_place(CacheLocation::Shared(path.to_owned()))
     }
@@ -124,7 +124,8 @@ impl Cache {
         self.made.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|made| made.of.bytes)
     }
 
-    /// Gives what is kept another name as well, if that can be done without copying it: it can be made anew.
+    /// Gives the kept content another name as well, if that can be done without copying it: it can be made
+    /// anew.
     pub fn link_to(&self, path: &Path) {
         if let CacheLocation::Claimed(file, _) | CacheLocation::Shared(file) = &self.place {
             let _ = std::fs::hard_link(file, path);
@@ -252,7 +253,7 @@ impl Cache {
         Ok((of, SourceFile::of_part(part, source.path(), bytes)))
     }
 
-    /// The file to be kept, with the right to write it; none if it is to have no name.
+    /// File for the content that is to be kept, with the right to write it; none if it is to have no name.
     fn output(&self, need: &CachedContent) -> Result<Option<(OutputFile, Option<Claim>)>> {
         match &self.place {
             CacheLocation::Nameless(_) => Ok(None),

@@ -100,7 +100,7 @@ impl Claim {
         Self::for_places(OutputFiles::of_file(path)?, resumes)
     }
 
-    /// Claims a folder, or the files in it that go with it; what was left of an earlier attempt is removed.
+    /// Claims a folder, or the files in it that go with it; files of an earlier attempt are removed.
     ///
     /// # Errors
     /// Another process has it, or the folder that it lies in is missing or cannot be written to.
@@ -108,8 +108,8 @@ impl Claim {
         Self::for_places(OutputFiles::of_folder(path)?, false)
     }
 
-    /// Removes what an earlier attempt has left beside a folder, unless another process is at it; as nobody
-    /// may come who claims the folder itself.
+    /// Removes the hidden files that an earlier attempt has left beside a folder, unless another process is
+    /// writing: perhaps no process will ever claim the folder itself.
     pub fn tidy(path: &Path) {
         drop(Self::folder(path));
     }
@@ -168,7 +168,8 @@ impl Claim {
         self.keeps = true;
     }
 
-    /// Puts the part file in the target's place, with the permissions and the owner of what it replaces.
+    /// Puts the part file in the target's place, with the permissions and the owner of the file that it
+    /// replaces.
     ///
     /// # Errors
     /// The operating system refuses; the target is then what it was.
@@ -229,7 +230,8 @@ fn claimed() -> MutexGuard<'static, Vec<OutputFiles>> {
     CLAIMED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes what this process is writing, as it ends at once. What is to be gone on with stays.
+/// Removes what this process is writing, as the process ends at once. Files that a later call can go on with
+/// stay.
 pub fn abandon_all() {
     object::abandon_all();
     for places in claimed().drain(..) {
@@ -298,7 +300,7 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
     ))
 }
 
-/// Makes a file that is not there yet, which nobody sees who does not see its target.
+/// Creates a file that is not there yet, which nobody can read who cannot read its target.
 fn create_new(part: &Path, target: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true).create_new(true);

@@ -21,7 +21,7 @@ const HARMONIC: f64 = 0.282_094_791_773_878_14;
 pub struct Colors {
     /// The places of red, green and blue among the attributes.
     pub places: [usize; 3],
-    /// The type of these numbers.
+    /// Type of the colours' numbers.
     pub kind: Type,
     /// The numbers are coefficients of harmonics.
     pub of_splats: bool,
@@ -33,7 +33,7 @@ pub struct ColorScale(Meaning);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Meaning {
-    /// From 0 to the number of full light.
+    /// Numbers from 0 to this one, which is full light.
     Full(u16),
     /// Coefficients of harmonics.
     Coefficients,
@@ -178,7 +178,7 @@ impl ColorScale {
         all.try_reduce(|| true, |a, b| Ok(a && b))
     }
 
-    /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
+    /// Byte for a number, in the transfer curve that the number has (sRGB as a rule); 0 for NaN.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {
         let part = match self.0 {

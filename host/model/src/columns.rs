@@ -34,8 +34,8 @@ const NAMES: [&[&str]; 6] = [
 pub(crate) struct Columns {
     /// Byte that separates columns; blanks and tabs if none.
     separator: Option<u8>,
-    /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a
-    /// component, or behind these one that turns.
+    /// Meaning of each column up to the last one that is written anew, as the index among a vertex' numbers:
+    /// those of the components, and behind these those that turn.
     roles: Vec<Option<usize>>,
     /// 3, or 6 with a normal.
     components: usize,
@@ -349,7 +349,7 @@ struct BeforeRows {
     comment: Vec<u8>,
     /// Whether a line was a number of points.
     is_counted: bool,
-    /// Names of columns, and what is between them.
+    /// Separator of the columns, and their names.
     header: Option<(Option<u8>, Vec<String>)>,
     /// The first row without any number, which tells nothing of the columns.
     empty: Option<u64>,

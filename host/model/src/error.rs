@@ -13,13 +13,13 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 pub enum ErrorKind {
     /// The operating system refused to read or write.
     Io,
-    /// A file's content is not what its format, or its own header, says.
+    /// The content of a file is not what the file's format, or its own header, says.
     Format,
     /// The content is well-formed, but there is nothing that can be worked on (no vertices, say).
     Degenerate,
     /// Files that belong together do not fit (another vertex count, a source changed since sampling).
     Mismatch,
-    /// A value given by the user is out of its range, unknown or of another type.
+    /// A value given by the user is out of the range allowed, unknown or of another type.
     Argument,
     /// A plugin is missing, cannot be loaded, or failed.
     Plugin,
@@ -70,7 +70,7 @@ impl Error {
         Self::new(ErrorKind::Argument, what, hint)
     }
 
-    /// Content that is not what its format, or its own header, says.
+    /// Error of content that is not what its format, or its own header, says.
     #[cold]
     pub fn format(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Format, what, hint)

@@ -16,8 +16,8 @@ use crate::{
 pub struct Conversion {
     /// Whether the conversion may lose content that the new format cannot hold.
     pub lossy: bool,
-    /// From one integer to the next, where the new format stores positions as integers and the model does
-    /// not; as fine as its extent allows, where not given.
+    /// Step from one integer to the next, where the new format stores positions as integers and the model
+    /// does not; as fine as the model's extent allows, where not given.
     pub step: Option<f64>,
     /// The position of number zero then; near the model's middle, where not given.
     pub offset: Option<DVec3>,
@@ -28,7 +28,7 @@ pub struct Conversion {
 /// Rounding of positions in a new format, where they lose digits by it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rounding {
-    /// From one position to the next, in the model's unit.
+    /// Step from one position to the next, in the model's unit.
     pub step: f64,
     /// The diagonal of the model's box, likewise.
     pub diagonal: f64,
@@ -87,10 +87,10 @@ pub(crate) struct ConversionInput<'a> {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct FaceCounts {
     pub(crate) polygons: u64,
-    /// Corners of all of them, and of the largest.
+    /// Corners of all polygons, and (`largest`) of the largest one.
     pub(crate) corners: u64,
     pub(crate) largest: usize,
-    /// Triangles that they are made of.
+    /// Triangles that the polygons are made of.
     pub(crate) triangles: u64,
 }
 
@@ -114,7 +114,7 @@ impl ConversionInput<'_> {
     }
 }
 
-/// So many of something that is called so, as "1 comment" and "3 comments".
+/// Number of things with the noun `one`, as "1 comment" and "3 comments".
 pub(crate) fn counted(count: u64, one: &str) -> String {
     format!("{count} {one}{}", if count == 1 { "" } else { "s" })
 }
@@ -129,7 +129,7 @@ pub(crate) struct WrittenRows<'a> {
     /// The first one's index.
     pub(crate) first: u64,
     pub(crate) positions: &'a [DVec3],
-    /// None, or one for each.
+    /// Normals, one for each vertex or none at all.
     pub(crate) normals: &'a [Vec3],
     /// The first attributes of the model, as many as the form [asks for](Form::attributes).
     pub(crate) attributes: &'a [Vec<f64>],

@@ -24,8 +24,8 @@ const EXTENSIONS: [&str; 12] = [
     splats::records::EXTENSION,
 ];
 
-/// The extensions of formats whose files say in a header how they are laid out, and where on earth: it takes
-/// no reading of all, and no cache, to open one.
+/// Extensions of formats whose files describe their layout, and their place on earth, in a header: opening
+/// one takes no reading of the whole file, and no cache.
 const WITH_HEADER: [&str; 4] = ["ply", "las", "laz", "e57"];
 
 /// Whether a file of this name tells all that it says of itself as soon as it is opened.
@@ -33,7 +33,7 @@ pub fn tells_when_opened(path: &Path) -> bool {
     WITH_HEADER.contains(&extension(path).as_str())
 }
 
-/// A test whether a file that begins so is of a format, and what opens it.
+/// Test whether a file with these first bytes is of a format, and the function that opens it.
 type Opener = (fn(&[u8]) -> bool, fn(SourceFile, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
@@ -100,9 +100,9 @@ pub(crate) fn extension(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 
-/// Opens a model in one file, of whatever format its content is; where that cannot tell, as of plain text,
-/// the extension of its name does. Of text in columns, these are what `columns` says. One of a pool is closed
-/// when others are read.
+/// Opens a model in one file, in the format that its content shows; where the content cannot tell, as of
+/// plain text, the extension of the file's name does. For text in columns, these are what `columns` says. The
+/// file of a pool is closed when others are read.
 ///
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says; columns are

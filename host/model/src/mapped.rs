@@ -81,7 +81,7 @@ fn release((address, length): (usize, usize)) {
     let _ = unsafe { libc::madvise(address as *mut libc::c_void, length, libc::MADV_DONTNEED) };
 }
 
-/// Nothing: these systems are not told.
+/// Does nothing: these systems are not told.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn release(_place: (usize, usize)) {}
 

@@ -11,7 +11,7 @@ use bytemuck::Zeroable;
 /// Time between two looks. Large buffers live longer than this.
 const INTERVAL: Duration = Duration::from_millis(5);
 
-/// From this many bytes on, a block of memory goes back to the system once it is free.
+/// Size in bytes from which on a block of memory goes back to the system once it is free.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE: i32 = 256 << 10;
 
@@ -96,9 +96,9 @@ fn set_allocator(block: i32, free: i32) {
 /// Bytes of a large page.
 pub(crate) const LARGE_PAGE: usize = 2 << 20;
 
-/// So many zeros, the system's own, which whoever writes to first takes from there: for long lists that are
-/// held for long. The system is asked for large pages, by which they are there and are looked up in fewer
-/// steps; where it gives none, nothing else changes.
+/// List of so many zeros, in fresh pages of the system, which a thread gets when it first writes there: for
+/// long lists that are held for long. The system is asked for large pages, which are allocated and looked up
+/// in fewer steps; where it gives none, nothing else changes.
 pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
     let list: Vec<T> = bytemuck::zeroed_vec(count);
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -128,7 +128,7 @@ pub fn atomics(list: &mut [u32]) -> &[AtomicU32] {
     }
 }
 
-/// Makes a buffer one of so many bytes, whatever these are: whoever calls overwrites them.
+/// Resizes a buffer to so many bytes, whatever these are: the caller overwrites them.
 pub(crate) fn resize(buffer: &mut Vec<u8>, bytes: usize) {
     if buffer.capacity() < bytes {
         *buffer = zeros(bytes);
@@ -189,7 +189,7 @@ pub fn anonymous_of(process: u32) -> Option<u64> {
     Some(own + ids.filter_map(anonymous_of).sum::<u64>())
 }
 
-/// Nothing: these systems are not asked.
+/// Returns `None`: these systems are not asked.
 #[cfg(not(target_os = "linux"))]
 pub fn anonymous_of(_process: u32) -> Option<u64> {
     None
@@ -236,8 +236,8 @@ pub fn of_machine() -> u64 {
     total.unwrap_or(4 << 30)
 }
 
-/// Resident memory in bytes, now, of which these systems do not tell what is of files; `None` where one does
-/// not tell.
+/// Resident memory in bytes, now, from which these systems do not separate that of files; `None` where a
+/// system does not tell.
 #[cfg(not(target_os = "linux"))]
 pub fn anonymous() -> Option<u64> {
     use sysinfo::{ProcessRefreshKind, ProcessesToUpdate, System, get_current_pid};

@@ -22,14 +22,14 @@ use crate::{Attribute, Error, Progress, Result, ScaledIntegers, Summary};
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
 
-/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain
+/// Most vertices in a chunk where they are only read: several chunks are held then, and large ones gain
 /// nothing.
 pub const SMALL_CHUNK: usize = 1 << 14;
 
 /// Most triangles in a chunk.
 pub const CHUNK_TRIANGLES: usize = 1 << 16;
 
-/// Most versions that one reading of a model writes: the bound of what is held beside each chunk.
+/// Most versions that one reading of a model writes: a bound of what is held beside each chunk.
 pub const MAX_VERSIONS: usize = 4;
 
 /// Type of the numbers of positions in the file, in which they are written back.
@@ -88,12 +88,12 @@ pub struct ModelInfo {
     pub vertex_bytes: u64,
     /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
     pub face_bytes: u64,
-    /// The whole numbers that positions are stored as, where they are.
+    /// Scale and offset of the integers as which positions are stored, where they are.
     pub integers: Option<ScaledIntegers>,
     /// The integers of what is written: with another offset, where one was [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
-    /// From one whole number that positions are written as to the next, along three directions at right
-    /// angles: the coarsest, where there are several; zero where they are floats.
+    /// Step from one whole number that positions are written as to the next, along three directions at right
+    /// angles: the coarsest, where there are several; zero where positions are floats.
     pub step: DVec3,
     /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
     pub ranges: Vec<[i64; 2]>,
@@ -101,7 +101,7 @@ pub struct ModelInfo {
     pub crs: Option<String>,
 }
 
-/// Of a model without any vertices, each of which could be read without the others.
+/// Info on a model without any vertices, each of which could be read without the others.
 impl Default for ModelInfo {
     fn default() -> Self {
         Self {
@@ -165,8 +165,8 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
-    /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which
-    /// is normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
+    /// Tangents as glTF has them: a direction along the surface, and the side of the bitangent, which is
+    /// normal × direction times the last number (1 or -1). Only where a model is rewritten that has any.
     pub tangents: Vec<Vec4>,
     /// Other numbers of the vertices [turn with the surface](Model::following): only where the model is
     /// rewritten.
@@ -180,9 +180,9 @@ pub struct VertexChunk {
     pub(crate) blocks: Vec<CompressedBlock>,
     /// Range of bytes in `raw` of each vertex' numbers; its exact meaning is up to the format.
     pub(crate) spans: Vec<[u32; 2]>,
-    /// The pages that are patched, where `raw` is what the vertices have of them.
+    /// Pages that are patched, where `raw` is only the vertices' bytes of them.
     pub(crate) pages: Vec<u8>,
-    /// Vertices of other chunks of which these bytes have some numbers.
+    /// Vertices of other chunks that have some of their numbers in these bytes.
     pub(crate) beside: StraddlingVertices,
     /// Data of the format's own that belong to the bytes, for each part that was read by itself.
     pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
@@ -203,7 +203,7 @@ impl VertexChunk {
         self.of_format.append(&mut behind.of_format);
     }
 
-    /// Index in its file of the first vertex here.
+    /// Index of the first vertex of the chunk in its file.
     pub(crate) fn first_of_file(&self) -> u64 {
         self.first - self.before
     }
@@ -239,12 +239,12 @@ impl VertexChunk {
     }
 }
 
-/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than
-/// the rest: in groups, each by itself, and neither begun nor ended.
+/// Vertices that are edited once more, since a part of their numbers is among the bytes of another chunk than
+/// the rest: in groups, each by itself, which are neither begun nor ended.
 #[derive(Debug, Default)]
 pub(crate) struct StraddlingVertices {
     pub(crate) positions: Vec<DVec3>,
-    /// As many, where the model has any.
+    /// Normals, as many as positions, where the model has any.
     pub(crate) normals: Vec<Vec3>,
     /// Number of vertices of each group.
     pub(crate) groups: Vec<usize>,
@@ -294,16 +294,16 @@ pub enum Normals {
     Drop,
 }
 
-/// Gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A function of a
-/// chunk and its versions is one.
+/// Function that gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A
+/// closure on a chunk and its versions is one.
 pub trait Edit: Sync {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, how many bytes of vertices come
-    /// before that.
+    /// Gets, before all else, the number of bytes of vertices before the [part](Rewriting::only) of a file
+    /// that is rewritten, if it is a part.
     fn begin_behind(&self, _vertex_bytes: u64) {}
 
-    /// Is told of each chunk before it is decoded: one at a time, in the file's order. Where the model is
-    /// made of several [tiles](Model::tiles), vertices are counted in each by itself, and one is over before
-    /// the next begins.
+    /// Gets each chunk before it is decoded: one at a time, in the file's order. Where the model is made of
+    /// several [tiles](Model::tiles), vertices are counted in each tile by itself, and one tile is over
+    /// before the next begins.
     ///
     /// # Errors
     /// What has been read so far shows that the work is in vain.
@@ -319,7 +319,7 @@ pub trait Edit: Sync {
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()>;
 
     /// Edits vertices once more for their normals alone, where these stand elsewhere in the file than the
-    /// positions: neither begun nor ended.
+    /// positions: such chunks are neither begun nor ended.
     ///
     /// # Errors
     /// As of [`edit`](Self::edit).
@@ -327,7 +327,7 @@ pub trait Edit: Sync {
         self.edit(chunk, versions)
     }
 
-    /// Is told of each edited chunk, by its first vertex, before it is written: one at a time, in the file's
+    /// Gets each edited chunk, by its first vertex, before the chunk is written: one at a time, in the file's
     /// order.
     ///
     /// # Errors
@@ -355,7 +355,7 @@ pub struct RawChunk<'a> {
     pub first: u64,
     /// The number of vertices.
     pub vertices: usize,
-    /// The bytes of the file that hold them.
+    /// Bytes of the file that hold the vertices.
     pub bytes: &'a [u8],
     /// Whether these vertices are edited: the outputs may have them already.
     pub is_edited: bool,
@@ -366,17 +366,18 @@ pub struct RawChunk<'a> {
 pub struct Rewriting {
     /// Treatment of the normals.
     pub normals: Normals,
-    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
+    /// Number of pieces at the beginning that are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
-    /// So many files of a model that is made of [tiles](Model::tiles) are read, but neither edited nor
-    /// written; pieces are those of the one after them.
+    /// Number of files of a model that is made of [tiles](Model::tiles) that are read, but neither edited nor
+    /// written; pieces are those of the file after them.
     pub files_done: u64,
     /// The pieces that alone are read, edited and written: a part of a file that can be
     /// [divided](Model::division).
     pub only: Option<PieceRange>,
-    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format can:
-    /// it pays where vertices are in no order. Zero is one. The file comes out in the same pieces.
+    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format
+    /// supports that: it pays where vertices are in no order. Zero is as one. The file comes out in the same
+    /// pieces.
     pub pieces_at_once: u64,
 }
 
@@ -394,8 +395,8 @@ pub struct PieceRange {
 /// that is made of [tiles](Model::tiles) are its tiles, each as a whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Division {
-    /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
-    /// there are any, follow from what became of these.
+    /// Number of pieces, from the file's beginning on, that each follow from the model alone. The pieces
+    /// behind them, if there are any, follow from the new version of these.
     pub pieces: u64,
     /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
@@ -408,8 +409,8 @@ pub struct Division {
 /// Destination of a new version of a model. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file
-    /// it begins.
+    /// Gets, before all else, the byte of the old file at which the [part](Rewriting::only) begins that is
+    /// rewritten, if it is a part.
     ///
     /// # Errors
     /// Nothing can be written there.
@@ -417,7 +418,8 @@ pub trait Output: Send {
         Ok(())
     }
 
-    /// Is told first, where the model is made of [tiles](Model::tiles), which of their files comes next.
+    /// Gets, before all else, the number of the file that comes next, where the model is made of
+    /// [tiles](Model::tiles).
     ///
     /// # Errors
     /// Nothing can be written there.
@@ -425,9 +427,9 @@ pub trait Output: Send {
         Err(io::Error::new(io::ErrorKind::Unsupported, "a model of several files goes to a folder"))
     }
 
-    /// Takes the next pieces of the new file, so many, which stand for `source_bytes` of the model, and what
-    /// other places of the file have to know of them. The same model, rewritten in the same way, comes in the
-    /// same pieces each time.
+    /// Takes the next `pieces` pieces of the new file, which stand for `source_bytes` of the model, and their
+    /// summary for other places of the file. The same model, rewritten in the same way, comes in the same
+    /// pieces each time.
     ///
     /// # Errors
     /// The pieces cannot be written.
@@ -459,7 +461,7 @@ pub trait Output: Send {
     /// The bytes cannot be replaced.
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
-    /// Is called after the last piece of each file.
+    /// Ends a file, after its last piece.
     ///
     /// # Errors
     /// What is still held cannot be written.
@@ -500,8 +502,8 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
-    /// The triangles, ascending, that are of the same polygon as the one before, at whose first corner and
-    /// last one they begin: the last triangle of the chunk before, if it is the first one here.
+    /// Indices, ascending, of the triangles that belong to the same polygon as the triangle before, at whose
+    /// first corner and last one they begin: the last triangle of the chunk before, for the first one here.
     pub continued: Vec<u32>,
     /// Starts of blocks of [`FACES_OF_A_BLOCK`] faces, ascending; at the very end, the end of the last one.
     /// None where faces cannot be read but all at once.
@@ -534,14 +536,14 @@ impl FaceChunk {
 
 /// Reads consecutive vertices of a model, a chunk at a time.
 pub trait VertexReader: Send {
-    /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
+    /// Sets the most vertices of the chunks to come: [`CHUNK_VERTICES`] until then, and at most.
     fn set_chunk(&mut self, vertices: usize);
 
-    /// From now on nothing is asked of chunks but positions, normals and [raw bytes](VertexChunk::raw): what
-    /// takes time to read besides is left out.
+    /// Leaves out from now on all that takes time to read and is neither position, normal nor [raw
+    /// bytes](VertexChunk::raw).
     fn skip_attributes(&mut self) {}
 
-    /// From now on attributes are left out that are no colours.
+    /// Leaves out from now on attributes that are no colours.
     fn skip_all_but_colors(&mut self) {}
 
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
@@ -680,7 +682,7 @@ fn read_ahead<C: Default + Send>(
     })
 }
 
-/// Some attributes, taken out of all up to the last of them.
+/// Reads some attributes by reading all up to the last one of them.
 pub(crate) fn some_by_all(
     attributes: impl FnOnce(&mut [Vec<f64>]) -> Result<()>,
     places: &[usize],
@@ -714,13 +716,13 @@ pub trait Model: Send + Sync {
     /// The file; of a model that is made of several, a pattern that they have in common.
     fn path(&self) -> &Path;
 
-    /// Files beside it that are part of the model.
+    /// Files beside the model's own file that are part of the model.
     fn other_files(&self) -> Vec<&Path> {
         Vec::new()
     }
 
-    /// The files that it is made of, if these are several, in the order of their vertices: what is
-    /// [rewritten](Self::rewrite) is as many files then.
+    /// Files that the model is made of, if these are several, in the order of their vertices: it is
+    /// [rewritten](Self::rewrite) to as many files then.
     fn tiles(&self) -> &[Tile] {
         &[]
     }
@@ -761,8 +763,8 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// Attributes with whole numbers that doubles do not tell apart, each in a few words, as of
-    /// [`besides`](Self::besides), where it takes a look at all vertices to find them.
+    /// Attributes with whole numbers that double precision does not tell apart, each in a few words, as of
+    /// [`besides`](Self::besides), where finding them takes a reading of all vertices.
     ///
     /// # Errors
     /// The file cannot be read; the user cancelled.
@@ -770,7 +772,7 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// The model as whatever it is, for conversions that keep more than is given here.
+    /// The model as its own type, for conversions that keep more than this trait gives.
     fn as_any(&self) -> Option<&dyn Any> {
         None
     }
@@ -806,10 +808,10 @@ pub trait Model: Send + Sync {
         [before as u64; 2]
     }
 
-    /// Is told that from now on all vertices are read several times for their positions and colours, or with
-    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they
-    /// may be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most;
-    /// if there is no room, they are not.
+    /// Prepares for several readings of all vertices for their positions and colours, or with `None` ends
+    /// that. Where finding these takes long, as in compressed blocks, they may be kept in a temporary file in
+    /// `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if the folder has no room, they are
+    /// not kept.
     fn keep_positions(&self, _folder: Option<&Path>) {}
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
@@ -850,9 +852,9 @@ pub trait Model: Send + Sync {
         Ok(Box::new(NoFaces))
     }
 
-    /// The byte of the file at which a face begins, or the last one ends, where reading can
-    /// [begin](Self::faces_at) at any of them: as they are triangles, and all of one length, if the size of
-    /// the file tells the truth. Who reads them sees whether each of so many bytes was one.
+    /// Byte of the file at which a face begins, or the last one ends, where reading can
+    /// [begin](Self::faces_at) at any face: as all faces are triangles of one length, if the size of the file
+    /// tells the truth. A reader of the faces finds out whether each of so many bytes was one.
     fn face_at(&self, _face: u64) -> Option<u64> {
         None
     }
@@ -884,12 +886,12 @@ pub trait Model: Send + Sync {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
     }
 
-    /// The box of all vertices as the file tells it, which may lie; none where it does not.
+    /// Box of all vertices as the file tells it, which may be wrong; none where the file tells none.
     fn told_bounds(&self) -> Option<Bounds> {
         None
     }
 
-    /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of
+    /// Makes room in the files that are rewritten from now on for vertices that go from the first place of
     /// each pair to the second, and for others that go further by `margin`: where integers do not reach, by
     /// another offset, or another range. Returns what was changed, if anything: all integers are written anew
     /// then.

@@ -13,10 +13,10 @@ use crate::progress::Silent;
 use crate::tiles::{TiledModel, names, written_names};
 use crate::{Error, Model, Progress, Result};
 
-/// A model as it is named.
+/// Name of a model: a file, or several tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ModelName {
-    /// One file, which need not be there.
+    /// Path of one file, which need not be there.
     File(PathBuf),
     /// Files that are one model together, in the order of their vertices.
     Tiles(Vec<PathBuf>),
@@ -80,7 +80,7 @@ impl ModelName {
         }
     }
 
-    /// Opens it: see [`open_with`].
+    /// Opens the model: see [`open_with`].
     ///
     /// # Errors
     /// As of [`open_with`].
@@ -98,8 +98,8 @@ impl ModelName {
     }
 }
 
-/// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
-/// of its name does. Of a pattern, as `tiles/*.laz`, all files that it matches are one model.
+/// Opens a model, in the format that its content shows; where the content cannot tell, as of plain text, the
+/// extension of its name does. For a pattern, as `tiles/*.laz`, all files that match it are one model.
 ///
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says; a pattern

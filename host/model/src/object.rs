@@ -25,7 +25,7 @@ pub trait Store: Send + Sync {
     /// The store cannot be reached, or refuses.
     fn open(&self, url: &str) -> Result<Option<Arc<dyn Object>>>;
 
-    /// Begins an object in parts, of which nothing is to be seen until it is [complete](Upload::complete).
+    /// Begins an object in parts, which cannot be seen until it is [complete](Upload::complete).
     ///
     /// # Errors
     /// As of [`open`](Self::open); the store takes no parts.
@@ -73,13 +73,14 @@ pub trait Upload: Send {
     /// One did not arrive.
     fn sent(&mut self) -> Result<BTreeMap<usize, String>>;
 
-    /// Puts the object in its place, of parts with these tags, from number 0 on, which have so many bytes.
+    /// Puts the object in its place, of parts with these tags, from number 0 on, which have so many bytes
+    /// together.
     ///
     /// # Errors
     /// The store cannot be reached, has other parts, or knows no such upload (any more).
     fn complete(&mut self, tags: Vec<String>, bytes: u64) -> Result<()>;
 
-    /// Leaves nothing of it. This takes some seconds at most.
+    /// Removes the upload and all its parts. This takes some seconds at most.
     ///
     /// # Errors
     /// The store cannot be reached.
@@ -103,7 +104,7 @@ fn is_url(text: &str) -> bool {
     text.split_once("://").is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
 }
 
-/// The whole URLs of objects, with what may be secret in them, by what they are called.
+/// Whole URLs of objects, with their secrets, by the names without secrets.
 static WHOLE: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
 
 /// The name of an object: its URL without user, password and query, which this process remembers. What is no
@@ -133,7 +134,7 @@ fn whole(path: &Path) -> String {
     WHOLE.lock().unwrap_or_else(PoisonError::into_inner).get(&plain).cloned().unwrap_or(plain)
 }
 
-/// The store, with the URL that it is asked for.
+/// Store, and the whole URL of the path.
 fn store(action: &str, path: &Path) -> Result<(&'static dyn Store, String)> {
     let store = STORE.get().ok_or_else(|| {
         Error::argument(
@@ -200,7 +201,7 @@ impl BegunUpload {
         &mut *self.upload
     }
 
-    /// Leaves it to others; what they go on with it by.
+    /// Leaves the upload to other processes; returns the id by which they go on with it.
     pub fn leave(mut self) -> String {
         self.forget();
         self.upload.id().to_owned()
@@ -216,7 +217,7 @@ impl BegunUpload {
         Ok(())
     }
 
-    /// From now on it is nobody's here.
+    /// Takes the upload off the list of those that this process removes.
     fn forget(&mut self) {
         self.keeps = true;
         begun().retain(|(path, id)| (path, &**id) != (&self.path, self.upload.id()));
@@ -240,7 +241,7 @@ fn begun() -> MutexGuard<'static, Vec<(PathBuf, String)>> {
     BEGUN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Leaves nothing of what this process has begun, as it ends at once.
+/// Removes all uploads that this process has begun, as the process ends at once.
 pub(crate) fn abandon_all() {
     let all = std::mem::take(&mut *begun());
     for (path, id) in all {

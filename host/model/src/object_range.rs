@@ -24,11 +24,11 @@ pub struct ObjectRange {
 /// Result of sending a range.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SentRange {
-    /// The range's first bytes, of a part that begins before it.
+    /// First bytes of the range, of a part that begins before the range.
     pub before: Vec<u8>,
     /// The tags of the parts that were sent, in a row.
     pub tags: Vec<String>,
-    /// The range's last bytes, of a part that ends behind it.
+    /// Last bytes of the range, of a part that ends behind the range.
     pub behind: Vec<u8>,
 }
 

@@ -91,7 +91,7 @@ fn has_content(line: &[u8]) -> bool {
     line.iter().find(|b| !is_space(**b)).is_some_and(|b| *b != b'#')
 }
 
-/// The counts of vertices and faces, and where the first line behind them begins.
+/// Counts of vertices and faces, and the byte at which the first line behind the counts begins.
 struct OffHead {
     letters: Letters,
     vertices: u64,
@@ -179,7 +179,7 @@ fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize>
     Ok(numbers)
 }
 
-/// The faces of a file, as far as it was gone over.
+/// Counts of the faces of a file, as far as the file was read.
 #[derive(Default)]
 struct OffFaces {
     count: u64,
@@ -274,7 +274,7 @@ struct ColourBytes {
 }
 
 impl ColourBytes {
-    /// The colours among some attributes, with so many numbers of the normal behind them.
+    /// Check of the colours among some attributes, with so many numbers of the normal behind them.
     fn of(attributes: &[&str], normal: usize) -> Self {
         let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
         Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }

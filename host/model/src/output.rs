@@ -54,8 +54,8 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
-    /// Puts the file in its place without waiting for the disk: of what is made again where it is damaged, as
-    /// a power failure may leave it.
+    /// Puts the file in its place without waiting for the disk: for a file that is made again where it is
+    /// damaged, as a power failure may leave it.
     ///
     /// # Errors
     /// As of [`commit`](Self::commit), as far as the operating system tells by now.
@@ -78,7 +78,7 @@ impl OutputFile {
         self.claim.part().try_clone().map_err(|e| self.claim.failed(&e))
     }
 
-    /// As what a model can be written to, whose bytes may be replaced in the end.
+    /// The file as an output of a model, whose bytes may be replaced in the end.
     pub fn replaceable(&mut self) -> Replaceable<'_> {
         Replaceable(self)
     }

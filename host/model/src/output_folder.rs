@@ -47,7 +47,7 @@ impl OutputFolder {
         Ok(Self { claim, target: target.to_owned() })
     }
 
-    /// Leaves what is there to a later call that goes on with it.
+    /// Leaves the folder in the making to a later call that goes on with it.
     pub(crate) fn keep(mut self) {
         self.claim.keep();
     }
@@ -67,14 +67,14 @@ impl OutputFolder {
         &self.target
     }
 
-    /// An error of a file in it, told of the folder that was asked for and not of its temporary name.
+    /// Error of a file in the folder, told of the folder that was asked for and not of its temporary name.
     pub fn named(&self, e: Error) -> Error {
         let told = |text: &str| text.replace(&*self.path().to_string_lossy(), &self.target.to_string_lossy());
         let (what, hint) = (told(&e.to_string()), told(e.hint()));
         e.saying(what).hinting(hint)
     }
 
-    /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder,
+    /// Puts the folder in its place. A former folder goes away, in one step where the system can; the folder,
     /// and its files that replace others, have the permissions and the owners of those.
     ///
     /// # Errors

@@ -25,7 +25,7 @@ const WAITING: usize = 2;
 
 /// The trait of a format's files that are rewritten.
 pub(crate) trait Rewritable: Sync {
-    /// Goes over the whole file, once, from its beginning.
+    /// Reader of the pieces of the whole file, once, from its beginning.
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>>;
 
     /// Fills the positions and normals of a chunk whose bytes were read.
@@ -34,8 +34,8 @@ pub(crate) trait Rewritable: Sync {
     /// Makes the bytes of the file for a version of a chunk.
     fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()>;
 
-    /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
-    /// `is_still` says that nothing changes in this version.
+    /// Bytes of a [piece](Piece::Made) that follows from the new version of all pieces before it. `is_still`
+    /// says that nothing changes in this version.
     fn make(&self, _before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         Ok(Vec::new())
     }
@@ -60,7 +60,7 @@ pub(crate) struct PieceVersion<'a> {
     pub(crate) normals: Normals,
     /// No further version is made of the chunk.
     pub(crate) is_last: bool,
-    /// The bytes, once they are made; whatever they were before.
+    /// Bytes of the version, once they are made; whatever they were before.
     pub(crate) bytes: &'a mut Vec<u8>,
     /// Summary of the piece for other places of the file; empty before.
     pub(crate) summary: &'a mut Summary,
@@ -83,8 +83,8 @@ pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
-    /// Reads those of up to `most` pieces with vertices, as one, and tells how many they are; or of another
-    /// piece.
+    /// Reads up to `most` pieces with vertices as one, or a single other piece; returns the number of pieces
+    /// as well.
     fn read_several(&mut self, chunk: &mut VertexChunk, _most: u64) -> Result<(Piece, u64)> {
         Ok((self.read(chunk)?, 1))
     }
@@ -114,7 +114,7 @@ pub(crate) enum Piece {
     Bytes,
     /// Bytes in whose place others are [made](Rewritable::make).
     Made,
-    /// Nothing: the file was read whole.
+    /// No piece: the file was read whole.
     End,
 }
 
@@ -237,7 +237,7 @@ struct Queue<'a, 'o> {
     writing: Option<PieceWriting<'a, 'o>>,
     /// The pieces that are ready, by their numbers.
     ready: BTreeMap<u64, Ready>,
-    /// Number of pieces that were taken, and of those that are written.
+    /// Number of pieces that were taken, and (`written`) of those that are written.
     taken: u64,
     written: u64,
     /// Nothing more is to be read.
@@ -263,17 +263,17 @@ impl<'a, 'o> PieceWriting<'a, 'o> {
 /// A piece as it goes to the outputs.
 #[derive(Default)]
 struct Ready {
-    /// For how many pieces it stands.
+    /// Number of pieces that this one stands for.
     pieces: u64,
-    /// The first of its vertices, if they were edited.
+    /// First vertex of the piece, if its vertices were edited.
     edited: Option<u64>,
-    /// Bytes that it took in the file.
+    /// Bytes of the file that the piece took.
     source_bytes: u64,
     /// The bytes for each output; one for all of them if there are no vertices, and none if they have it.
     versions: Vec<Vec<u8>>,
     /// The summary of each version of vertices.
     summaries: Vec<Summary>,
-    /// The bytes are made when it is written.
+    /// The bytes are made when the piece is written.
     is_made: bool,
 }
 
@@ -394,7 +394,8 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         Ok(Some(ready))
     }
 
-    /// Appends to the versions of a chunk what becomes of the vertices [beside](VertexChunk::beside) it.
+    /// Appends to the versions of a chunk the new positions and normals of the vertices
+    /// [beside](VertexChunk::beside) it.
     fn edit_beside(&self, chunk: &VertexChunk, edited: &mut [Edited]) -> Result<()> {
         let (beside, mut first) = (&chunk.beside, 0);
         let (mut group, mut versions) =
@@ -489,7 +490,7 @@ impl Queue<'_, '_> {
     }
 }
 
-/// Stops the others when its thread panics.
+/// Guard of a thread, which stops the other threads when its thread panics.
 struct PanicGuard<'w, 'a, 'o>(&'w RewriteCall<'a, 'o>);
 
 impl Drop for PanicGuard<'_, '_, '_> {
@@ -517,7 +518,7 @@ fn failed_write(file: &dyn Rewritable, error: io::Error) -> Error {
 }
 
 impl Edited {
-    /// Makes it what the chunk is.
+    /// Makes the version equal to the chunk.
     fn reset(&mut self, chunk: &VertexChunk, normals: Normals) {
         self.positions.clear();
         self.positions.extend_from_slice(&chunk.positions);
@@ -541,7 +542,7 @@ impl Edited {
         }
     }
 
-    /// An error where it does not have as many vertices as the chunk.
+    /// Error where the version does not have as many vertices as the chunk.
     fn check(&self, chunk: &VertexChunk, normals: Normals) -> Result<()> {
         let expected = |count: usize| if normals == Normals::Transform { count } else { 0 };
         let directions = (expected(chunk.normals.len()), Self::gradients_of(chunk, normals));

@@ -25,11 +25,11 @@ pub(super) const ROOT: f64 = 0.2;
 /// Numbers of steps of the grid.
 #[derive(Clone, Copy)]
 pub(super) struct Counts {
-    /// On each side of the stem, around.
+    /// Steps on each of the four sides around the stem.
     pub side: u64,
-    /// Between the rings of [`STEM`].
+    /// Steps between the rings of [`STEM`].
     pub stem: [u64; 7],
-    /// For each arm: out of the hole, along the tube, and to the cap.
+    /// Steps of each arm: out of the hole, along the tube, and to the cap.
     pub arms: [[u64; 3]; 2],
 }
 
@@ -61,7 +61,7 @@ impl Counts {
         counts
     }
 
-    /// As many as fit into so many vertices.
+    /// Counts for the most vertices that are no more than `vertices`.
     pub fn of_vertices(lengths: &[f64], vertices: u64) -> Self {
         // The coarsest one has less than any model.
         let (mut narrow, mut wide) = (1.0, 1.0);
@@ -107,7 +107,7 @@ impl Counts {
         2 * (self.side + self.stem[HOLES[arm]])
     }
 
-    /// The stem's rows between which an arm's hole is, and the column at which it begins.
+    /// Rows of the stem between which an arm's hole is, and the column at which the hole begins.
     pub fn hole(&self, arm: usize) -> Hole {
         let before = |ring: usize| self.stem[..ring].iter().sum();
         Hole { low: before(HOLES[arm]), high: before(HOLES[arm] + 1), left: [0, 2][arm] * self.side }

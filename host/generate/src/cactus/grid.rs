@@ -13,8 +13,8 @@ use super::super::{BodyRows, SurfaceVertex};
 use super::counts::{Counts, HOLES, Hole, ROOT, STEM};
 use super::form::CactusForm;
 
-/// Radius of the ring at the edge of an arm's cap, and how far it is beyond the tube's end: parts of the
-/// tube's radius.
+/// Radius of the ring at the edge of an arm's cap, and distance of the ring beyond the tube's end: parts of
+/// the tube's radius.
 const CAP: [f64; 2] = [0.9, 0.44];
 
 /// Rows that belong together.
@@ -45,7 +45,7 @@ pub(super) struct Cactus {
 }
 
 impl Cactus {
-    /// With at most so many vertices, and hardly less.
+    /// Cactus of at most so many vertices, and hardly less.
     pub fn new(vertices: u64) -> Self {
         let form = CactusForm::new();
         let counts = Counts::of_vertices(&Counts::lengths(&form), vertices);
@@ -64,7 +64,7 @@ impl Cactus {
         cactus
     }
 
-    /// A row's section, and its number there.
+    /// Section of a row, and the row's number there.
     fn find(&self, row: usize) -> (&GridSection, u64) {
         let mut row = row as u64;
         let last = self.sections.len() - 1;

@@ -141,7 +141,7 @@ impl Converted {
         Ok(converted)
     }
 
-    /// Chooses how the file is written, which tells what it loses.
+    /// Chooses the form in which the file is written, which tells the losses.
     fn choose_form(&mut self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<()> {
         let mut losses = self.losses_of_model(counted, progress)?;
         let form = self.form(self.how.drops_normals, &mut losses)?;
@@ -184,7 +184,7 @@ impl Converted {
         Ok(losses)
     }
 
-    /// The error that a conversion loses something, where it was not said that it may.
+    /// Error of a conversion that loses something without being allowed to.
     fn would_lose(&self, target: &Path, losses: &[String]) -> Error {
         let own = self.own_extension();
         let all = format!("in its own format, .{own}, a deformed model keeps all of it");
@@ -197,7 +197,8 @@ impl Converted {
         Error::argument(format!("{} would lose: {}", target.display(), losses.join("; ")), hint)
     }
 
-    /// The extension that the model has in its own format: that of its name, if it is one.
+    /// Extension that the model has in its own format: that of its file's name, if that is one of the
+    /// format's.
     fn own_extension(&self) -> &'static str {
         let (own, named) = (self.model.extensions(), extension(self.model.path()));
         own.iter().find(|own| **own == named).or(own.first()).unwrap_or(&"ply")

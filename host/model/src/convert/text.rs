@@ -12,7 +12,7 @@ use crate::{Attribute, ColorScale, Colors, Error, Model, Result, Scalar, Summary
 /// The digits of positions as text: as many as give the numbers back.
 #[derive(Debug, Clone, Copy)]
 enum PositionDigits {
-    /// As few digits as tell the number from all others of single precision, or of double.
+    /// As few digits as tell the number from all others of single precision, or (`Double`) of double.
     Single,
     Double,
     /// So many decimals; three more where a number lies between these.
@@ -65,7 +65,7 @@ fn is_whole(number: f64, little: f64) -> bool {
     (number - number.round()).abs() <= little.max(4.0 * f64::EPSILON * number.abs())
 }
 
-/// With an exponent where zeros would be many.
+/// Writes a number, with an exponent where zeros would be many.
 fn number_to(to: &mut Vec<u8>, number: f64, is_single: bool) -> std::io::Result<()> {
     let size = number.abs();
     let is_plain = number == 0.0 || (1e-5..1e16).contains(&size) || !number.is_finite();
@@ -127,7 +127,8 @@ pub(super) struct TextForm {
     attributes: Vec<(String, Type, usize)>,
     /// The colours of OBJ, OFF, and `.xyzrgb`.
     colors: Option<ColorStyle>,
-    /// Nothing counts the vertices, so that they may be left out, and shall be.
+    /// Whether vertices without a position are left out: nothing in the file counts the vertices, and leaving
+    /// out is allowed.
     leaves_out: bool,
     left_out: AtomicU64,
 }

@@ -13,26 +13,27 @@ use super::pose::ScanPose;
 use crate::source::SourceFile;
 use crate::{Result, wkt};
 
-/// Most elements, attributes and texts of the XML: what its tree takes while it is looked at.
+/// Most elements, attributes and texts of the XML, which bounds the memory of its tree.
 const MOST_NODES: u32 = 8 << 20;
 
 /// A scan as it is described.
 #[derive(Debug)]
 pub(super) struct Described {
-    /// "scan 2", with its name if it has one.
+    /// Name of the scan: "scan 2", with its own name if it has one.
     pub name: String,
     pub count: u64,
-    /// The place of its points in the file.
+    /// Place of the scan's points in the file.
     pub place: u64,
-    /// Each has a stream of its own, in this order.
+    /// Fields of the points, each with a stream of its own, in this order.
     pub fields: Vec<E57Field>,
     pub pose: ScanPose,
     pub slots: Vec<LimitSlot>,
-    /// For each field, where in the text its least and its largest number are, as far as it says them.
+    /// Places of the least and the largest number of each field in the text, if the text has them.
     pub limits: Vec<[Option<Range<usize>>; 2]>,
     /// Least and largest intensity that the scan declares, if it does.
     pub intensities: Option<[f64; 2]>,
-    /// Groups of its points, as lines of a scanner, have boxes of their own, which are in their records.
+    /// Groups of the scan's points, as lines of a scanner, have boxes of their own, which are in the groups'
+    /// records.
     pub has_boxes_of_groups: bool,
     /// Names of the elements that describe the scan besides.
     pub besides: Vec<String>,
@@ -171,8 +172,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         }
     }
 
-    /// The least and the largest intensity that a scan says it can have; nothing where they are no numbers,
-    /// or no range.
+    /// Least and largest intensity that a scan says it can have; none where they are no numbers, or no range.
     fn intensity_limits(&self, scan: Node<'a, 'i>) -> Option<[f64; 2]> {
         let limits = child(scan, "intensityLimits")?;
         let end = |name| child(limits, name).and_then(|node| self.number(node).ok());
@@ -356,7 +356,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
     }
 }
 
-/// The codec that leaves numbers as they are, and is meant where there is none.
+/// Codec that leaves numbers as they are, and is meant where the text names none.
 const BITPACK: &str = "bitPackCodec";
 
 pub(super) const CARTESIAN: [&str; 3] = ["cartesianX", "cartesianY", "cartesianZ"];

@@ -144,7 +144,7 @@ impl E57Model {
     }
 }
 
-/// The number that takes the place of one in the text, if the points that it is about reach elsewhere now.
+/// New text of a number that the XML has, if the points that the number is a limit of reach elsewhere now.
 fn new_number(scan: &Scan, slot: &LimitSlot, before: &ScanReach, after: &ScanReach) -> Option<String> {
     let corner = slot.corner;
     let (was, is) = (corner_of(before, corner), corner_of(after, corner));
@@ -189,7 +189,7 @@ fn written(kind: NumberEncoding, number: f64, is_max: bool) -> String {
     }
 }
 
-/// A number in so many characters, if it has fewer: with zeros behind its decimals.
+/// Number in so many characters, if it has fewer: with zeros behind its decimals.
 fn padded(number: String, length: usize) -> String {
     let missing = length.saturating_sub(number.len());
     let Some(point) = number.find('.') else { return number };

@@ -12,7 +12,7 @@ pub(super) const MAGIC: &[u8] = b"ASTM-E57";
 /// Bytes of the header.
 pub(super) const LENGTH: u64 = 48;
 
-/// The places in the header of what is changed in it.
+/// Places of the header's numbers that are changed.
 pub(super) mod at {
     pub const FILE_LENGTH: u64 = 16;
     pub const XML_PLACE: u64 = 24;

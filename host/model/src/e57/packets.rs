@@ -11,15 +11,15 @@ use crate::source::SourceFile;
 /// Bytes of the head of a section.
 const HEAD: u64 = 32;
 
-/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: what has to be
-/// read to have all numbers of some points is bounded by it.
+/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: a bound of what
+/// has to be read to have all numbers of some points.
 const MOST_APART: u64 = 1 << 18;
 
 /// Numbers in the tables of all scans, so 8 MiB; but a scan has a few rows at least.
 const ROOM: usize = 1 << 20;
 const LEAST_ROWS: usize = 4;
 
-/// A place before a packet, and what of each stream comes before it.
+/// Start of a packet, and the number of bytes of each stream before it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PacketStart {
     /// The logical byte at which the packet begins.
@@ -38,9 +38,10 @@ pub(super) struct Packets {
     /// Logical byte of the file at which all streams are complete, and the walk is over.
     pub end: u64,
     streams: usize,
-    /// For each place that is kept, its byte and those before it of each stream, side by side.
+    /// Starts of the packets that are kept: the byte of each, and the numbers of bytes of each stream before
+    /// it, side by side.
     table: Vec<u64>,
-    /// From one place that is kept to the next.
+    /// Number of packets from one start that is kept to the next.
     stride: usize,
 }
 
@@ -49,7 +50,7 @@ pub(super) struct PacketStream {
     pub stream: usize,
     /// The bytes of the stream.
     pub of_stream: Range<u64>,
-    /// The logical byte of the file at which they begin.
+    /// Logical byte of the file at which the bytes of the stream begin.
     pub at: u64,
 }
 
@@ -120,8 +121,8 @@ impl Packets {
         self.stride *= 2;
     }
 
-    /// The last place that is kept of which `is_before` holds, as it does of all before it; or else the first
-    /// one.
+    /// Last start that is kept for which `is_before` holds, as it does for all starts before; or else the
+    /// first one.
     pub fn last_place(&self, is_before: impl Fn(u64, &[u64]) -> bool) -> Option<PacketStart> {
         let row = self.streams + 1;
         let place = |number: usize| {

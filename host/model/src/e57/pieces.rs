@@ -21,10 +21,11 @@ use crate::{CHUNK_VERTICES, Result, VertexChunk};
 /// Most pages of a piece.
 const MOST_PAGES: u64 = 1024;
 
-/// Pages that have no more points than a chunk, whatever they hold: those of bits.
+/// Number of pages that have no more points than a chunk, whatever they hold: even where a point takes a
+/// single bit.
 const FEW_PAGES: u64 = 8;
 
-/// Pages that are read before and behind a piece, for the numbers of its points that are there.
+/// Number of pages that are read before and behind a piece, for the numbers of its points that are there.
 const AROUND: u64 = 66;
 
 /// Bytes that are copied at a time.
@@ -39,7 +40,7 @@ enum E57Section {
         pages: Range<u64>,
         scans: Range<usize>,
     },
-    /// The end of the file, or where it ends now.
+    /// The end of the file, or the place where it ends now.
     Ending(Range<u64>),
 }
 
@@ -73,7 +74,7 @@ pub(super) struct PieceLayout {
 }
 
 impl ScanSegment {
-    /// All points of which numbers are here.
+    /// Range of all points of which numbers are in the piece.
     pub fn points(&self) -> &Range<u64> {
         &self.streams.points
     }

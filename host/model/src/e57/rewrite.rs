@@ -84,7 +84,7 @@ struct Moving<'a, 'v> {
 }
 
 impl Moving<'_, '_> {
-    /// Notes how far vertices of a scan reached, and how far they do now.
+    /// Notes the limits of a scan's vertices before and after the motion.
     fn note_reach(&mut self, scan: usize, before: ScanReach, after: ScanReach) {
         for (kind, boxes) in (0..).zip(before.into_iter().zip(after)) {
             let number = 2 * scan as u32 + kind;

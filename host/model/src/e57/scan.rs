@@ -24,12 +24,12 @@ pub(super) const NUMBER: usize = 8;
 pub(super) struct Scan {
     pub described: Described,
     pub packets: Packets,
-    /// The model's number of its first point.
+    /// Index in the model of the scan's first point.
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
-    /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the
-    /// scan lacks one.
+    /// Fields of the numbers that turn with the surface besides normals, in the order of those numbers; none
+    /// where the scan lacks one.
     pub turning: Vec<Option<usize>>,
     /// Types of the row's fields as they are stored, and (`written`) as they are written: with other ranges
     /// where these were chosen.
@@ -71,7 +71,7 @@ pub(super) struct TooWide {
 /// An angle by which points turn further than samples at most: near the scanner it could be any.
 const MOST_TURN: f64 = 0.1;
 
-/// A number of a place, as fields of positions have it.
+/// Coordinate of a position, as the fields of positions have it.
 #[derive(Debug, Clone, Copy)]
 struct Coordinate {
     number: f64,
@@ -84,7 +84,7 @@ struct Coordinate {
 }
 
 impl Coordinate {
-    /// The number plus whole turns, within a range if it can be; or else next to another number.
+    /// The number plus whole turns, within a range if possible; or else next to another number.
     fn beside(&self, other: f64, (least, most): (f64, f64)) -> f64 {
         if !self.turns {
             return self.number;
@@ -99,7 +99,7 @@ impl Coordinate {
 pub(super) type ScanReach = [Bounds; 2];
 
 impl Scan {
-    /// None if its points have no positions.
+    /// Scan from its description; none if its points have no positions.
     pub fn new(described: Described, packets: Packets, first: u64) -> Option<Self> {
         let fields = &described.fields;
         let mut row = Vec::new();
@@ -146,7 +146,7 @@ impl Scan {
         self.row.iter().chain(others).copied().collect()
     }
 
-    /// The model's numbers of its points.
+    /// Range of the scan's points in the model.
     pub fn vertices(&self) -> Range<u64> {
         self.first..self.first + self.described.count
     }
@@ -173,8 +173,8 @@ impl Scan {
         &self.described.fields[self.row[of_row]]
     }
 
-    /// From one number to the next of positions that are written, along three directions at right angles, the
-    /// coarsest of cartesian and spherical ones; zero where they are floats.
+    /// Steps from one number to the next of positions that are written, along three directions at right
+    /// angles, the coarsest of cartesian and spherical ones; zero where positions are floats.
     pub fn step(&self) -> DVec3 {
         if let Some(three) = self.roles.cartesian {
             return DVec3::from(three.map(|i| self.field(i).step()));
@@ -245,8 +245,8 @@ impl Scan {
         self.described.pose.turned(DVec3::from(self.three(row, three))).as_vec3()
     }
 
-    /// Turns a row into what is written of it: with its point at another place, if it moves from one position
-    /// to another, both in the frame of all scans. Returns whether any bits changed.
+    /// Turns a row into the row that is written: with its point at another place, if the point moves from one
+    /// position to another, both in the frame of all scans. Returns whether any bits changed.
     pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, CoordinateOverflow> {
         let before = self.local(row);
         let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
@@ -455,7 +455,7 @@ impl Scan {
         changed
     }
 
-    /// An angle, held to the range of its field if it is beyond that by less than a step.
+    /// Angle held to the range of its field if it is beyond that range by less than a step.
     fn held(&self, of_row: usize, angle: f64) -> f64 {
         let (least, most) = self.written[of_row].range();
         let near = angle.clamp(least, most);
@@ -501,14 +501,14 @@ impl Scan {
         self.wants != [false; 2]
     }
 
-    /// The range of an axis in the scan's own frame that its fields can hold.
+    /// Range that a field of the scan can hold, in the scan's own frame.
     pub fn range(&self, field: usize) -> (f64, f64) {
         let of_row = self.row.iter().position(|of_row| *of_row == field);
         of_row.map_or(self.described.fields[field].kind, |of_row| self.written[of_row]).range()
     }
 
-    /// The ranges of integers that are written, where they are others: the field, and the least and the
-    /// largest number.
+    /// Ranges of integers that are written, where they differ from the stored ones: the field, and the least
+    /// and the largest number.
     pub fn other_ranges(&self) -> impl Iterator<Item = (usize, [i64; 2])> {
         let all = self.row.iter().zip(&self.kinds).zip(&self.written);
         all.filter(|((_, old), new)| old != new).filter_map(|((field, _), new)| match new {

@@ -14,7 +14,7 @@ use crate::Result;
 pub(super) struct Streams {
     /// The points.
     pub points: Range<u64>,
-    /// The fields, and their numbers; none of other fields.
+    /// Packed numbers of each field that was read; none for other fields.
     pub packed: Vec<Option<PackedNumbers>>,
 }
 

@@ -19,13 +19,13 @@ enum FollowRule {
     Splat(SplatNumbers),
 }
 
-/// The numbers of a model that turn with the surface, once it is open.
+/// Attributes of an opened model that turn with the surface.
 #[derive(Debug, Default)]
 pub struct Following {
     /// The places of the attributes that follow, group by group.
     places: Vec<usize>,
     groups: Vec<(FollowRule, Range<usize>)>,
-    /// For people, and to tell one from another.
+    /// Descriptions of the attributes, for people, and to tell one set of rules from another.
     descriptions: Vec<String>,
     opacity: Opacity,
     max_anisotropy: Option<f64>,
@@ -37,15 +37,15 @@ pub struct Following {
 /// Counts of the splats of all versions that were treated specially.
 #[derive(Debug, Default)]
 struct SplatTally {
-    /// Splats that keep their numbers, as some mean nothing.
+    /// Number of splats that keep their numbers, as some are meaningless.
     kept: AtomicU64,
-    /// Splats that were longer than [`NEEDLE`] times their second axis afterwards and not before.
+    /// Number of splats that were longer than [`NEEDLE`] times their second axis afterwards and not before.
     needles: AtomicU64,
-    /// Bits of the largest ratio of any of these.
+    /// Bits of the largest ratio of the axes of any of these.
     longest: AtomicU64,
 }
 
-/// From here on a splat is seen as a needle.
+/// Ratio of the axes from which on a splat is seen as a needle.
 const NEEDLE: f64 = 10.0;
 
 impl Following {
@@ -64,7 +64,7 @@ impl Following {
         Self::find(follow, attributes).map_err(|why| misfit(&why, file))
     }
 
-    /// An error where it is not known what turns.
+    /// Checks that the attributes that turn are known.
     pub(crate) fn check(&self, file: &Path) -> Result<()> {
         self.misfit.as_ref().map_or(Ok(()), |why| Err(misfit(why, file)))
     }
@@ -163,7 +163,7 @@ impl Following {
         self.notes().iter().for_each(|note| progress.note(&format!("{}: {note}", file.display())));
     }
 
-    /// Notes on what became of the splats, which are counted anew after it.
+    /// Notes on the splats, which are counted anew after this call.
     fn notes(&self) -> Vec<String> {
         let SplatTally { kept, needles, longest } = &self.tally;
         let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));
@@ -184,7 +184,7 @@ impl Following {
     }
 }
 
-/// An error where it is not known what turns.
+/// Error of attributes that cannot turn, for the reason `why`.
 fn misfit(why: &str, file: &Path) -> Error {
     let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
     Error::argument(format!("{}: {why}", file.display()), hint)

@@ -69,8 +69,7 @@ static DIRECTIONS: LazyLock<[DVec3; MOST]> = LazyLock::new(|| {
     })
 });
 
-/// For each band, what gives coefficients from values in the first directions: for each of these its part in
-/// all coefficients.
+/// Matrix for each band that gives coefficients from the values in the first directions.
 static INVERSES: LazyLock<[Square; 3]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let values = DIRECTIONS.map(|d| band(i + 1, d));
@@ -108,7 +107,7 @@ fn inverse(m: &Square, size: usize) -> Square {
 
 /// Matrices that rotate the coefficients of bands 1 up to some degree.
 pub(super) struct BandRotation {
-    /// For each coefficient before its part in all of the band.
+    /// Matrix of each band: a row for each coefficient before, with its part in all coefficients of the band.
     bands: [Square; 3],
 }
 

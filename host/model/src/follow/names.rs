@@ -45,7 +45,7 @@ fn capitals(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|part| part.to_ascii_uppercase()).collect()
 }
 
-/// The attributes that are meant by a declared name, in the order of its numbers.
+/// Places of the attributes that a declared name means, in the order of its numbers.
 pub(super) fn declared(name: &str, kind: TensorKind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
     let parts: &[&str] = match kind {
         TensorKind::Vector | TensorKind::Direction | TensorKind::Normal => &["x", "y", "z"],

@@ -9,8 +9,8 @@ use super::harmonics::BandRotation;
 use super::rules::Opacity;
 use super::turn::{VertexTurn, lengths, on_side_of, orthogonal, sorted};
 
-/// Cosines between axes below this are those of right angles: what a gradient in floats cannot tell apart
-/// does not turn the axes of round splats.
+/// Cosine between axes below which they count as at right angles: a gradient in single precision cannot tell
+/// such axes from right angles, and so does not turn the axes of round splats.
 const RIGHT_ANGLE: f64 = 1e-7;
 
 /// Changes of scales below this are none, likewise.
@@ -33,11 +33,11 @@ impl fmt::Display for SplatNumbers {
     }
 }
 
-/// The quaternion and the scales, as long as they mean something.
+/// Ellipsoid of a splat: its quaternion and scales, as long as these are meaningful.
 struct Ellipsoid {
     quaternion: DQuat,
     length: f64,
-    /// As parts of the largest one; 0 across a disc.
+    /// Scales as parts of the largest one; 0 across a disc.
     scales: [f64; 3],
 }
 
@@ -93,7 +93,7 @@ impl SplatNumbers {
 }
 
 impl Ellipsoid {
-    /// By quaternion and logarithms of scales.
+    /// Reads the ellipsoid from a quaternion and logarithms of scales.
     fn from_shape(shape: &[f64]) -> Option<Self> {
         let q = DQuat::from_xyzw(shape[1], shape[2], shape[3], shape[0]);
         let length = q.length();

@@ -4,10 +4,10 @@ use glam::{DMat3, DQuat, DVec3, Mat3, Vec3, Vec4};
 
 use super::rules::TensorKind;
 
-/// Columns are orthogonal once the cosines between them are below this.
+/// Largest cosine between columns that count as orthogonal.
 const ORTHOGONAL: f64 = 1e-14;
 
-/// Sweeps of rotations after which columns are as orthogonal as they get; three or four do.
+/// Most sweeps of rotations, after which columns are as orthogonal as they get; three or four do.
 const SWEEPS: usize = 24;
 
 /// The normal after a deformation of this gradient, of the same length as before. `mirrored` says that the
@@ -36,7 +36,7 @@ pub fn tangent(gradient: &Mat3, t: Vec4, mirrored: bool) -> Vec4 {
     turned.map_or(t, |turned| (turned * t.truncate().length()).extend(side))
 }
 
-/// A gradient, with what is known of it for all numbers of a vertex.
+/// Gradient at a vertex, with its derived matrices, for all numbers of the vertex.
 pub(super) struct VertexTurn {
     /// J.
     pub(super) gradient: DMat3,
@@ -104,7 +104,7 @@ impl VertexTurn {
         Some(on_side_of(DQuat::from_mat3(&frame), self.turned(unit)) * length)
     }
 
-    /// The quaternion after the smallest rotation that the gradient has in it, by which signs are told.
+    /// Quaternion turned by the smallest rotation that the gradient contains, by which signs are told.
     pub(super) fn turned(&self, q: DQuat) -> DQuat {
         let Some(mut rotation) = self.polar else { return q };
         if rotation.determinant() < 0.0 {

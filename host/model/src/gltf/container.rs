@@ -179,8 +179,8 @@ impl Container {
         Ok(this)
     }
 
-    /// A file whose JSON refers to buffers elsewhere, with all of them as binary data. `bin` is that of the
-    /// file itself, and `after` is where other chunks begin.
+    /// Puts a file whose JSON refers to buffers elsewhere together with all of these as binary data. `bin` is
+    /// the binary data of the file itself, and `after` is where other chunks begin.
     fn gather(
         source: SourceFile,
         json: Vec<u8>,
@@ -280,7 +280,8 @@ impl Container {
         self.assembled(text, (parts, len), behind)
     }
 
-    /// A file of this JSON, parts of binary data that has `len` bytes, and what is behind these.
+    /// Container of this JSON, parts of binary data that have `len` bytes together, and the chunks behind
+    /// these.
     fn assembled(
         mut self,
         mut text: Vec<u8>,

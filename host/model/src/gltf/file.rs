@@ -32,7 +32,7 @@ pub(super) struct GltfModel {
     pub(super) info: ModelInfo,
 }
 
-/// A mesh, as far as its primitives have names for what they are made of.
+/// Mesh of which only the attributes' names of its primitives are read.
 #[derive(Deserialize)]
 struct OnlyPrimitives {
     #[serde(default)]

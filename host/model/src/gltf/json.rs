@@ -9,13 +9,13 @@ use serde::de::{IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::value::RawValue;
 
-/// Most things of a kind, as nodes or accessors: what is made of them takes memory.
+/// Most things of a kind, as nodes or accessors: a bound of the memory for them.
 const MOST: usize = 1 << 20;
 
 /// Names of extensions, or of what else is there.
 pub(super) type Names = BTreeMap<String, IgnoredAny>;
 
-/// Accessors by what they are of, as `POSITION`.
+/// Accessors of a primitive by their attribute, as `POSITION`.
 pub(super) type AccessorIndices = BTreeMap<String, usize>;
 
 #[derive(Deserialize)]
@@ -64,7 +64,7 @@ pub(super) struct Accessor<'a> {
     pub(super) min: Option<&'a RawValue>,
     #[serde(borrow)]
     pub(super) max: Option<&'a RawValue>,
-    /// As text: nobody asks for that of other accessors than those that are patched.
+    /// Sparse part as text: it is parsed for accessors alone that are patched.
     #[serde(borrow)]
     pub(super) sparse: Option<&'a RawValue>,
 }

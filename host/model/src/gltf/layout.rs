@@ -62,7 +62,7 @@ pub(super) struct VertexRows {
     pub(super) rows: u64,
     /// Elements of a row, and the byte of the row at which each begins: no two of a kind.
     pub(super) elements: Vec<(VectorRole, usize)>,
-    /// The sets whose rows these are: one, or several if they share normals or tangents.
+    /// Sets whose rows the region has: one, or several if they share normals or tangents.
     pub(super) owners: Vec<usize>,
 }
 
@@ -104,7 +104,7 @@ pub(super) enum PrimitiveMode {
 /// Primitive: a part of a mesh that is drawn at once.
 #[derive(Debug)]
 pub(super) struct DrawnPrimitive {
-    /// Number of its first triangle.
+    /// Number of the primitive's first triangle.
     pub(super) first: u64,
     pub(super) triangles: u64,
     pub(super) mode: PrimitiveMode,
@@ -118,7 +118,7 @@ pub(super) struct DrawnPrimitive {
 /// The layout of a file: its vertices, what shows them, and the bytes that are patched.
 #[derive(Debug, Default)]
 pub(super) struct GltfLayout {
-    /// In the order of the file.
+    /// Sets of vertices, in the order of the file.
     pub(super) sets: Vec<VertexSet>,
     pub(super) regions: Vec<VertexRows>,
     pub(super) drawn: Vec<DrawnPrimitive>,
@@ -137,9 +137,9 @@ pub(super) struct GltfLayout {
 /// A layout while it is found.
 #[derive(Default)]
 struct LayoutBuilder {
-    /// The accessors by where they are.
+    /// Positions that were found, by the place of their accessor.
     sets: BTreeMap<AccessorBytes, FoundPositions>,
-    /// Normals and tangents, and where the positions are that they belong to.
+    /// Streams of normals and tangents, with the places of the positions that they belong to.
     streams: BTreeMap<(AccessorBytes, VectorRole), BTreeSet<AccessorBytes>>,
     layout: GltfLayout,
     /// Mode, positions, indices.
@@ -153,7 +153,7 @@ struct LayoutBuilder {
 /// Positions that were found.
 struct FoundPositions {
     placement: Option<MeshPose>,
-    /// The node that shows them.
+    /// Node that shows the positions.
     node: usize,
     normals: Option<AccessorBytes>,
     colours: Option<(AccessorBytes, u32)>,
@@ -268,7 +268,7 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Adds an attribute that stays as it is.
+    /// Adds an attribute that is not read, and keeps its bytes.
     fn add_other(&self, builder: &mut LayoutBuilder, of: &VertexAttribute<'_>) -> Result<()> {
         let VertexAttribute { positions, attribute, accessor: index, primitive } = *of;
         let accessor = self.accessor(index)?;
@@ -353,7 +353,7 @@ impl Accessors<'_> {
         }
     }
 
-    /// Notes what has to keep its bytes beside what vertices have.
+    /// Notes all accessors that have to keep their bytes, beside those of vertices.
     fn keep_others(&self, builder: &mut LayoutBuilder) {
         let document = self.document;
         for (index, skin) in document.skins.iter().enumerate() {
@@ -507,5 +507,5 @@ impl Accessors<'_> {
     }
 }
 
-/// A run of elements, what they are, and whose.
+/// Run of elements, their role, and the sets that own them.
 type ElementRun = (AccessorBytes, VectorRole, Vec<usize>);

@@ -20,14 +20,14 @@ const LONGEST: usize = 16;
 pub(super) struct Limit {
     /// Range of bytes of the limit in the JSON.
     text: Range<u32>,
-    /// The part of the file whose limits these are, and its column.
+    /// Part of the file whose limit this is, and the column of the part.
     part: u32,
     column: u8,
     is_max: bool,
     value: f32,
 }
 
-/// All of them, in the order of the JSON.
+/// Limits of all accessors, in the order of the JSON.
 #[derive(Debug, Default)]
 pub(super) struct AccessorLimits {
     all: Vec<Limit>,
@@ -80,8 +80,8 @@ impl AccessorLimits {
         self.all.iter().map(missing).sum::<usize>().next_multiple_of(4)
     }
 
-    /// The JSON with the numbers of parts in which something moved, and where the first one of them stands;
-    /// `None` where all are as they were.
+    /// JSON with new numbers for the parts in which something moved, and the byte at which the first one of
+    /// these numbers stands; `None` where all are as they were.
     pub(super) fn corrected(&self, json: &[u8], summary: &Summary) -> Option<(usize, Vec<u8>)> {
         let (mut text, mut copied, mut first) = (Vec::new(), 0, None);
         for limit in &self.all {

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 /// A determinant this small, beside the lengths of the columns, is that of no map that can be undone.
 const SINGULAR: f64 = 1e-9;
 
-/// From a mesh' coordinates to the world's, and back.
+/// Transform from a mesh' coordinates to the world's, and back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct MeshPose {
     matrix: DMat3,
@@ -80,7 +80,7 @@ impl MeshPose {
     }
 }
 
-/// A direction with the length of another one, which it is where it has none.
+/// Direction with the length of another vector; that vector itself where the direction has none.
 #[inline]
 fn with_length(direction: DVec3, other: Vec3) -> Vec3 {
     direction.try_normalize().map_or(other, |d| (d * other.as_dvec3().length()).as_vec3())

@@ -23,7 +23,7 @@ pub(super) struct AccessorBytes {
     /// Byte of the file at which the first element begins.
     pub(super) start: u64,
     pub(super) count: u64,
-    /// From one element to the next.
+    /// Bytes from the start of one element to that of the next.
     pub(super) stride: u64,
     /// Bytes of an element.
     pub(super) size: u64,
@@ -35,7 +35,7 @@ impl AccessorBytes {
         if self.count == 0 { self.start } else { self.start + self.stride * (self.count - 1) + self.size }
     }
 
-    /// The bytes of some elements and what is between them.
+    /// Range of bytes of some elements, with the bytes between them.
     pub(super) fn bytes(&self, elements: Range<u64>) -> Range<u64> {
         if elements.is_empty() {
             return self.start..self.start;

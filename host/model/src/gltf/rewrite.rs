@@ -20,7 +20,8 @@ use crate::{CHUNK_VERTICES, Edited, Error, Normals, Progress, Result, SMALL_CHUN
 /// A model that is rewritten.
 pub(super) struct GltfRewriting<'a> {
     pub(super) model: &'a GltfModel,
-    /// Normals and tangents that keep their bytes as meshes share them that turn apart, of all versions.
+    /// Number of normals and tangents, in all versions, that keep their bytes since they are shared by meshes
+    /// that turn differently.
     kept: AtomicU64,
 }
 
@@ -29,7 +30,7 @@ impl<'a> GltfRewriting<'a> {
         Self { model, kept: AtomicU64::new(0) }
     }
 
-    /// Says what of the file does not go with the surface, or is not where it was.
+    /// Tells the user of content of the file that does not follow the surface, or is written elsewhere.
     pub(super) fn announce(&self, progress: &dyn Progress) {
         let GltfModel { container, layout, is_gathered, had_sparse, .. } = self.model;
         let path = container.source.path().display();
@@ -233,7 +234,7 @@ impl ChunkPatch<'_> {
         Ok(has_moved)
     }
 
-    /// The box of all that is here of a part, as it is now.
+    /// Box of a part's numbers that are in this chunk, as they are now.
     fn reach(&self, part: u32, kind: VectorRole, offset: usize) -> PartBox {
         let mut found = PartBox::empty(part);
         let mut include = |element: Vec4| {

@@ -30,7 +30,8 @@ struct Changed<'a> {
     accessors: Vec<&'a RawValue>,
 }
 
-/// The file with no such accessor, its JSON, and whether it had any: otherwise it is the same.
+/// Returns the file with no sparse accessor, its JSON, and whether it had any: otherwise the file is the
+/// same.
 pub(super) fn made_plain(
     container: Container,
     json: Vec<u8>,
@@ -81,7 +82,7 @@ pub(super) fn made_plain(
     Ok((container, json, true))
 }
 
-/// The JSON where these accessors have views of their own, each from some place on of further data.
+/// JSON in which these accessors have views of their own, each from some byte of further data on.
 fn with_views(
     container: &Container,
     json: &[u8],
@@ -114,7 +115,7 @@ fn with_views(
 }
 
 impl Accessors<'_> {
-    /// The accessors that vertices and corners have, and that are sparse, in their order.
+    /// Sparse accessors of vertices and corners, in their order.
     fn sparse(&self) -> Vec<usize> {
         let mut all = Vec::new();
         for primitive in self.document.meshes.iter().flat_map(|mesh| &mesh.primitives) {

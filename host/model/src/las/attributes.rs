@@ -16,7 +16,7 @@ pub(super) struct NumberField {
     limits: Option<LimitFields>,
 }
 
-/// The fields of extra bytes' descriptions that say how far a number reaches as it is stored, if they do.
+/// Fields of extra bytes' descriptions for the least and the largest stored number, if they have these.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LimitFields {
     pub least: Option<usize>,
@@ -68,8 +68,8 @@ impl ExtraBytesType {
         }
     }
 
-    /// The bytes of a number, which is rounded to a whole one where the type has no others, and how many they
-    /// are; nothing where it does not fit.
+    /// Bytes of a number, which is rounded to a whole one where the type has no others, and their count; none
+    /// where the number does not fit.
     fn bytes(self, value: f64) -> Option<([u8; 8], usize)> {
         let mut bytes = [0; 8];
         macro_rules! put {
@@ -117,12 +117,12 @@ impl ExtraBytesType {
     }
 }
 
-/// The attributes of a file, and where they are.
+/// Attributes of a file, and their places in a record.
 #[derive(Debug, Clone, Default)]
 pub(super) struct AttributeFields {
     pub attributes: Vec<Attribute>,
     places: Vec<NumberField>,
-    /// Extra bytes that are among them.
+    /// Number of extra bytes among the attributes.
     extra_bytes: usize,
     /// Bytes of a record before extra ones.
     pub standard_bytes: usize,
@@ -256,7 +256,7 @@ impl AttributeFields {
         }
     }
 
-    /// Fills each list with the numbers of one attribute, those of the first ones.
+    /// Fills each list with the numbers of one attribute, in the order of the first attributes.
     pub fn decode(&self, records: &[u8], record: usize, to: &mut [Vec<f64>]) {
         for (values, place) in to.iter_mut().zip(&self.places) {
             values.clear();
@@ -292,7 +292,7 @@ impl AttributeFields {
         }
     }
 
-    /// Puts a number into a record, unless it does not fit its type; whether the record is another one now.
+    /// Puts a number into a record, unless it does not fit its type; returns whether the record has changed.
     pub fn put(&self, attribute: usize, record: &mut [u8], value: f64) -> bool {
         let NumberField { at, how, .. } = self.places[attribute];
         let (kind, value) = match how {

@@ -13,7 +13,7 @@ use crate::model::CompressedBlock;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
-/// Most vertices of a block: what a thread holds is bounded by it.
+/// Most vertices of a block: a bound of what a thread holds.
 pub(super) const MOST_VERTICES: u64 = 1 << 18;
 
 /// Bytes of the table's place, before the first block.
@@ -27,7 +27,8 @@ const TOO_LARGE: &str = "write it in blocks of the usual size first, as `laszip`
 /// Memory: 16 bytes for each.
 #[derive(Debug)]
 pub(super) struct LasBlocks {
-    /// The first vertex of each block, and where it begins; in the end, where the last one ends.
+    /// First vertex of each block, and the byte at which the block begins; in the end, the byte at which the
+    /// last one ends.
     starts: Vec<(u64, u64)>,
     /// Range of bytes of the table, if the file has one.
     pub table: Option<Range<u64>>,
@@ -235,7 +236,7 @@ impl LasBlocks {
         largest.max((CHUNK_VERTICES as u64).min(self.vertices())).max(1)
     }
 
-    /// The first vertex of a block, and where it begins.
+    /// First vertex of a block, and the byte at which the block begins.
     pub fn start(&self, number: usize) -> (u64, u64) {
         self.starts[number]
     }

@@ -30,15 +30,15 @@ const MOST_LIGHT: f64 = 65535.0;
 /// Most bytes of a VLR's content.
 const LONGEST: usize = u16::MAX as usize;
 
-/// The user whose VLR says how points are compressed, and its number.
+/// User and number of the VLR that describes the compression of the points.
 pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
 /// The place that a number goes to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum FieldTarget {
-    /// A number of its own.
+    /// A number with bytes of its own.
     Number(Type),
-    /// So many bits of a byte.
+    /// Some bits of a byte, from the bit `shift` on.
     Bits { shift: u8, bits: u8 },
     /// A number of extra bytes that is stored in this type: less the second number, divided by the first.
     Scaled { kind: Type, scale: f64, offset: f64 },
@@ -50,11 +50,11 @@ enum FieldTarget {
 #[derive(Debug, Clone, PartialEq)]
 struct WrittenAttribute {
     name: String,
-    /// The attribute's place among those of the model.
+    /// Place of the attribute among those of the model.
     from: usize,
     at: usize,
     place: FieldTarget,
-    /// Numbers are rounded, and end at those that there are.
+    /// Whether numbers are rounded, and clamped to the range of their type.
     rounds: bool,
 }
 
@@ -162,7 +162,7 @@ struct FoundNumbers {
 }
 
 impl FoundNumbers {
-    /// Before any were found.
+    /// Properties before any numbers were found.
     const NONE: Self =
         Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true, are_stored: true };
 
@@ -241,7 +241,7 @@ fn for_intensity(
     }
 }
 
-/// The text of the coordinate reference system, as a record has it, where there is room for it: in LAS 1.4,
+/// Text of the coordinate reference system, as a record has it, where the file has room for it: in LAS 1.4,
 /// whose points are of the new formats.
 fn wkt(content: &ConversionInput<'_>, format: u8, losses: &mut Vec<String>) -> Vec<u8> {
     let text = content.model.wkt().filter(|text| format >= 6 && text.len() < LONGEST);
@@ -397,7 +397,7 @@ impl LasForm {
         Ok(this)
     }
 
-    /// Has an attribute written at its place in a record.
+    /// Adds a field for an attribute that has a place in a record.
     fn add_attribute(
         &mut self,
         from: usize,
@@ -425,7 +425,7 @@ impl LasForm {
         self.fields.push(WrittenAttribute { name, from, at, place, rounds });
     }
 
-    /// Has an attribute written as extra bytes, if they have room, with what is said of them.
+    /// Adds extra bytes for an attribute, if the record has room for them, with the remark on them.
     fn add_extra(
         &mut self,
         from: usize,

@@ -33,7 +33,7 @@ pub(super) struct KeptFields {
 struct KeptBlock {
     /// The block's first vertex.
     first: u64,
-    /// A hash of the block as it is in the model, which may change meanwhile; zero if it is not there.
+    /// Hash of the block as it was in the model, which may change meanwhile; zero if the block is not kept.
     hash: AtomicU64,
 }
 
@@ -52,7 +52,7 @@ impl Compressed<'_> {
 }
 
 impl KeptFields {
-    /// Nothing yet. `None` if the folder has no room to spare, which is no error.
+    /// Empty storage. `None` if the folder has no room to spare, which is no error.
     pub fn new(folder: &Path, blocks: &LasBlocks, parts: Vec<Range<usize>>, record: usize) -> Option<Self> {
         let of_vertex: usize = parts.iter().map(Range::len).sum();
         let needed = blocks.vertices().saturating_mul(of_vertex as u64).min(MOST);
@@ -70,7 +70,7 @@ impl KeptFields {
         self.parts.iter().map(Range::len).sum()
     }
 
-    /// Keeps what the records of a block have, unless there is no room for it.
+    /// Keeps the parts of a block's records, unless there is no room for them.
     pub fn put(&self, block: Compressed<'_>, records: &[u8]) {
         let Some(KeptBlock { first, hash }) = self.blocks.get(block.number) else { return };
         let stride = self.stride();

@@ -13,7 +13,7 @@ use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, La
 
 use super::header::{LasHeader, bytes_at};
 
-/// The compression of a file's points, as its VLR says.
+/// Compression of a file's points, from its VLR.
 #[derive(Debug)]
 pub(super) struct Laszip {
     items: Vec<LazItem>,
@@ -41,11 +41,11 @@ pub(super) enum LayerChoice {
 /// Numbers of points in the blocks of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BlockLengths {
-    /// All in one.
+    /// All points in one block.
     One,
-    /// So many in each but the last.
+    /// The same number of points in each block but the last.
     Fixed(u32),
-    /// As many as a table says.
+    /// Numbers of points that a table lists.
     Variable,
 }
 
@@ -171,8 +171,8 @@ impl Laszip {
         self.record + 4 + 4 * self.layers
     }
 
-    /// The points and bytes of the block that `from` is at the beginning of, which is read no further than
-    /// needed, where it has at most so many points.
+    /// Number of points and of bytes of the block that `from` is at the beginning of, if it has at most so
+    /// many points; `from` is read no further than needed.
     ///
     /// An error is what is wrong with it.
     pub fn measure<R: Read + Seek>(&self, mut from: R, most: u64) -> Result<(u64, u64), String> {
@@ -220,8 +220,8 @@ thread_local! {
     static MAY_PANIC: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Does what the library panics in where its tables have no entry, as of bytes that are no compressed points:
-/// that is an error then, without a message.
+/// Calls `work`, in which the library panics where its tables have no entry, as of bytes that are no
+/// compressed points: a panic is an error here, without a message.
 fn unless_it_panics(work: impl FnOnce() -> Result<(), String>) -> Result<(), String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

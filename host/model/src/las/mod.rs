@@ -225,7 +225,7 @@ impl Model for LasModel {
 }
 
 impl LasModel {
-    /// Says that waveforms are in a file of their own, if they are.
+    /// Tells the user that waveforms are in a file of their own, if they are.
     pub(crate) fn tell_of_waveforms(&self, progress: &dyn Progress) {
         if self.header.has_waveforms_beside {
             progress.note(&format!(

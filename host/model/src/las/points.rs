@@ -22,8 +22,8 @@ pub(super) fn decode(integers: &ScaledIntegers, records: &[u8], record: usize, t
     to.extend(records.chunks_exact(record).map(|bytes| integers.position(numbers(bytes))));
 }
 
-/// Puts edited positions into records, where they are others than before: on the grid of `to`, whose numbers
-/// are those of the file less `shift`. Whether any byte changed.
+/// Puts edited positions into records, where they differ from those before: on the grid of `to`, whose
+/// numbers are those of the file less `shift`. Returns whether any byte changed.
 pub(super) fn patch(
     (to, shift): (&ScaledIntegers, [i64; 3]),
     records: &mut [u8],

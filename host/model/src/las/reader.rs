@@ -35,7 +35,7 @@ pub(super) struct LasReader<'a> {
 pub(super) struct BlockGroup {
     /// The blocks' first vertex.
     first: u64,
-    /// The blocks' bytes in the file, until a chunk takes them, and each block's share.
+    /// Bytes of the blocks in the file, until a chunk takes them, and each block's share.
     raw: Vec<u8>,
     blocks: Vec<CompressedBlock>,
     /// The records of the points, unpacked.

@@ -18,14 +18,14 @@ pub(super) const SCALE: usize = 112;
 pub(super) const OFFSET: usize = 136;
 const TEXT: usize = 160;
 
-/// Bits of a description's options, which say what of it is there.
+/// Bits of a description's options, which say which of its parts are there.
 const HAS_NO_DATA: u8 = 1;
 pub(super) const HAS_LEAST: u8 = 2;
 pub(super) const HAS_MOST: u8 = 4;
 pub(super) const HAS_SCALE: u8 = 8;
 pub(super) const HAS_OFFSET: u8 = 16;
 
-/// The lines, which begin with one of these words.
+/// Line on the type of GPS times, and first word of the lines on extra bytes.
 pub(crate) const GPS_TIME: &str = "gps-time adjusted";
 const EXTRA_BYTES: &str = "extra-bytes";
 
@@ -74,7 +74,7 @@ pub(super) struct ExtraBytesRemark {
     pub text: String,
 }
 
-/// A name as remarks have it, and PLY.
+/// Name of an attribute as remarks and PLY have it: without blanks.
 pub(super) fn name_of(name: &str) -> String {
     name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect()
 }
@@ -86,8 +86,8 @@ fn in_digits(number: f64) -> String {
 }
 
 impl ExtraBytesRemark {
-    /// The remark on a description whose numbers, if they are stored in another type, are scaled; `stored`
-    /// reads one of its numbers.
+    /// Reads the remark on a description. Where the numbers are stored in another type, `scaled` is that
+    /// type; `stored` reads one of the description's numbers.
     pub fn read(name: &str, one: &[u8], scaled: Option<Type>, stored: impl Fn(&[u8]) -> f64) -> Self {
         let number = |bit: u8, at: usize| (one[3] & bit != 0).then(|| stored(&one[at..]));
         let double = |bit: u8, at| {
@@ -174,7 +174,7 @@ impl ExtraBytesRemark {
         Some(this)
     }
 
-    /// The number that is stored for another one, in a type that may hold more of them.
+    /// Number that is stored for another one, in a type that may hold more numbers.
     pub fn to_stored(&self, number: f64) -> f64 {
         let stored = (number - self.offset.unwrap_or(0.0)) / self.scale.unwrap_or(1.0);
         match self.stored {

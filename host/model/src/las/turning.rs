@@ -14,8 +14,8 @@ use crate::{Edited, Summary};
 const OF_A_BOX: usize = 3;
 
 impl LasModel {
-    /// Turns what of `records` follows, which are those of some of a chunk's vertices, the chunk's positions
-    /// being `positions`; whether any bytes changed.
+    /// Turns the attributes that follow in `records`, which are those of some of a chunk's vertices at
+    /// `positions`; returns whether any bytes changed.
     pub(super) fn turn(
         &self,
         (edited, vertices): (&Edited, Range<usize>),
@@ -79,7 +79,7 @@ impl LasModel {
     }
 }
 
-/// The reach of numbers as they are stored, before and after.
+/// Reach of the stored numbers, before and after the motion.
 struct StoredReach {
     /// The least and the largest of each.
     of: [Vec<[f64; 2]>; 2],

@@ -7,7 +7,7 @@ use super::header::{CUT_OFF, DAMAGED, LasHeader, bytes_at};
 use crate::source::SourceFile;
 use crate::{Result, wkt};
 
-/// Most bytes that are looked at of a record that names a coordinate reference system.
+/// Most bytes that are read of a record that names a coordinate reference system.
 const MOST_OF_CRS: u64 = 1 << 20;
 
 /// The record of numbers that GeoKeys name.
@@ -25,13 +25,14 @@ const GEOCENTRIC: u16 = 3;
 pub(super) enum VlrKind {
     /// The compression of the points.
     Laszip,
-    /// The octree of COPC, and what COPC says of it.
+    /// The octree of COPC, and COPC's info on it.
     Copc,
     /// The description of extra bytes.
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,
-    /// The coordinate reference system as numbers, and the numbers and texts that these name.
+    /// The coordinate reference system as numbers, and (the next two) the numbers and texts that these refer
+    /// to.
     GeoKeys,
     GeoNumbers,
     GeoTexts,
@@ -41,15 +42,15 @@ pub(super) enum VlrKind {
 #[derive(Debug, Clone)]
 pub(super) struct KeptVlr {
     pub kind: VlrKind,
-    /// All of its bytes in the file, with its own header.
+    /// Bytes of the record in the file, with its header.
     pub all: Range<u64>,
-    /// The bytes of its content.
+    /// Bytes of the record's content in the file.
     pub content: Range<u64>,
     /// Whether the record is an EVLR.
     pub is_extended: bool,
 }
 
-/// The records of a file that matter here, in its order.
+/// Records of a file that are used, in the order of the file.
 #[derive(Debug, Clone, Default)]
 pub(super) struct KeptVlrs {
     records: Vec<KeptVlr>,

@@ -32,7 +32,7 @@ pub(super) struct Sharing {
     pub cache: Arc<Cache>,
 }
 
-/// A model, with its normals if they stand apart.
+/// Model, with its normals if they stand apart from the vertices.
 pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
     pub(super) normals: Option<TextBlocks>,
@@ -53,7 +53,8 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
 }
 
 impl ApartModel {
-    /// One that has none apart, but so many of corners.
+    /// Model without normals apart from the vertices, and with so many normals of corners, which are not
+    /// read.
     pub(super) fn without(model: TextModel<Obj>, of_corners: u64) -> Self {
         Self { model, normals: None, digits: Digits::default(), sharing: None, of_corners }
     }
@@ -89,7 +90,7 @@ impl ApartModel {
         Ok(Box::new(ObjReader { model: self, vertices, normals, raw, spans, ahead, some }))
     }
 
-    /// Reads the normals in some bytes, which hold so many, and where they stand.
+    /// Reads the normals in some bytes, which hold so many, and their places.
     pub(super) fn decode_normals(
         &self,
         raw: &[u8],
@@ -225,12 +226,12 @@ pub(super) struct ApartPieces<'a> {
     model: &'a ApartModel,
     at: u64,
     vertices: BlockReader<'a>,
-    /// Not there if they are copied.
+    /// Reader of the normals; none if they are copied.
     normals: Option<BlockReader<'a>>,
 }
 
 impl<'a> ApartPieces<'a> {
-    /// With at most so many normals in a chunk.
+    /// Pieces with at most so many normals in a chunk.
     pub(super) fn new(model: &'a ApartModel, normals: Normals, chunk: usize) -> Self {
         let of = |blocks| BlockReader::new(&model.model.source, blocks, 0..u64::MAX);
         let mut of_normals = model.normals.as_ref().filter(|_| normals == Normals::Transform).map(of);

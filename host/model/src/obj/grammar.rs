@@ -21,7 +21,7 @@ pub(crate) struct Obj {
     pub(super) skipped: usize,
     /// Byte at which the first face begins, and the byte at which the last one ends.
     pub(super) face_lines: Range<u64>,
-    /// Some corners are counted backwards from where they stand.
+    /// Some corners count vertices backwards from the place where they stand.
     pub(super) is_relative: bool,
     /// Other lines, by their first words.
     pub(super) others: BTreeMap<Vec<u8>, u64>,

@@ -78,8 +78,8 @@ pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     }))
 }
 
-/// A whole number that a word begins with, and where it ends; `None` if it begins with none. One that is too
-/// large becomes the largest.
+/// Whole number that a word begins with, and the byte at which the number ends; `None` if the word begins
+/// with none. A number that is too large becomes the largest.
 #[inline]
 pub(super) fn leading_integer(word: &[u8]) -> Option<(i64, usize)> {
     let negative = word.first() == Some(&b'-');

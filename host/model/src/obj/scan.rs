@@ -11,14 +11,14 @@ use crate::text::lines::{Lines, text_start, wrong_line};
 use crate::text::{coordinate, may_be_beyond, next_word, no_normal, parse};
 use crate::{Result, Scalar};
 
-/// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
-/// what is held of them.
+/// Most runs of vertices or of normals, one after the other, of a file whose normals are read: a bound of the
+/// memory for them.
 const MOST_RUNS: u64 = 1 << 18;
 
 /// Owner and place of the normals: those of vertices, or those of corners.
 #[derive(Debug)]
 pub(super) enum NormalsAre {
-    /// There are none.
+    /// The file has no normals.
     None,
     /// The vertices': each stands in a line before or behind its vertex, and no other vertex between.
     Beside,
@@ -26,7 +26,7 @@ pub(super) enum NormalsAre {
     Apart(TextBlocks),
     /// Normals are of corners, which share them.
     Shared(TextBlocks),
-    /// So many, in too many places.
+    /// So many normals, in too many runs to be read.
     Scattered(u64),
 }
 
@@ -47,7 +47,7 @@ pub(super) struct ObjScan {
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
-/// Most words that others are told apart by, and most bytes of each.
+/// Most first words of other lines that are told apart, and most bytes of each.
 const MOST_WORDS: usize = 64;
 const LONGEST_WORD: usize = 16;
 
@@ -126,7 +126,7 @@ impl NormalPairs {
         }
     }
 
-    /// The vertices of a file and where their normals are, of the lines of both.
+    /// Blocks of the vertices of a file, and the place of their normals, from the lines of both.
     fn finish(
         self,
         [vertices, normals]: [TextBlocks; 2],

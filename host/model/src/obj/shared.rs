@@ -47,7 +47,7 @@ pub(super) struct SharedNormals<'a> {
     file: SourceFile,
     /// Number of pairs.
     pairs: u64,
-    /// Normals that keep their bytes as their places disagree, of all versions.
+    /// Number of normals, in all versions, that keep their bytes as their places disagree.
     kept: AtomicU64,
 }
 
@@ -133,7 +133,7 @@ fn position_of(bytes: [u8; POSITION]) -> DVec3 {
 struct RecordFile<'a, const N: usize> {
     file: &'a SourceFile,
     range: Range<u64>,
-    /// Each the block of the number beside it, or none.
+    /// Block that is held for each reading position: its number and bytes, or none.
     blocks: Vec<(u64, Vec<u8>)>,
 }
 
@@ -294,7 +294,7 @@ struct Runs {
 }
 
 impl Runs {
-    /// Beside the file that they go to in the end.
+    /// Runs in a file beside the one that they go to in the end.
     fn new(beside: &Scratch) -> Result<Self> {
         Ok(Self { scratch: beside.beside()?, ends: Vec::new(), buffer: Vec::new() })
     }
@@ -314,7 +314,7 @@ impl Runs {
         Ok(())
     }
 
-    /// Writes all of them in order, none twice, from `start` on; returns how many they are.
+    /// Writes the pairs of all runs in order, none twice, from `start` on; returns their number.
     fn merge(mut self, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
         if !self.buffer.is_empty() {
             self.end_run()?;
