@@ -3,7 +3,7 @@
 use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Result};
 
-/// Reads and writes at a place, by the operating system where it has such calls.
+/// File that is read and written at a place, by the operating system where it has such calls.
 #[cfg(unix)]
 #[derive(Debug)]
 pub(crate) struct Positioned(File);

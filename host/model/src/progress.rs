@@ -21,12 +21,12 @@ pub struct Emerging<'a> {
 pub type Visitor<'a> = &'a mut dyn FnMut(Vec3, Vec3);
 
 impl<'a> Emerging<'a> {
-    /// Samples that `visit` goes over, of a model of these bounds and local coordinates.
+    /// Samples that `visit` visits, of a model of these bounds and local coordinates.
     pub fn new(first: bool, bounds: &'a Bounds, frame: &'a Frame, visit: &'a dyn Fn(Visitor<'_>)) -> Self {
         Self { first, bounds, frame, visit }
     }
 
-    /// Each sample's position, local, and its unit normal, zero where it is unknown.
+    /// Visits each sample's position, in local coordinates, and its unit normal, zero where it is unknown.
     pub fn for_each(&self, mut visit: impl FnMut(Vec3, Vec3)) {
         (self.visit)(&mut visit);
     }
@@ -43,7 +43,7 @@ pub struct Glimpse<'a> {
 type ReadVertex<'a> = &'a mut dyn FnMut(u64) -> Result<Option<(DVec3, Vec3)>>;
 
 impl<'a> Glimpse<'a> {
-    /// So many vertices, which `read` reads.
+    /// Model of so many vertices, which `read` reads.
     pub fn new(vertices: u64, read: ReadVertex<'a>) -> Self {
         Self { vertices, read }
     }
@@ -75,7 +75,7 @@ pub trait Progress: Sync {
         self.begin(stage, total);
     }
 
-    /// So many more bytes, or parts, of the stage are done.
+    /// Adds so many bytes, or parts, to those of the stage that are done.
     fn advance(&self, bytes: u64);
 
     /// Whether the user asked to stop. Work looks at it at least every 100 ms.

@@ -30,8 +30,8 @@ const FORMAT: &str = "simod-journal/1";
 /// Bytes that are checked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths of
-/// a file's compressed blocks some 6 bytes for each of these.
+/// Most bytes of a journal: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths
+/// of a file's compressed blocks some 6 bytes for each of these.
 const LONGEST: u64 = 64 << 20;
 
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
@@ -52,17 +52,17 @@ pub struct ResumableFile {
     since: u64,
     /// The summary of what is written since the last part.
     summary: Summary,
-    /// A part is over once it stands for so many bytes of the model.
+    /// Number of bytes of the model that a part stands for when it is over.
     part_bytes: u64,
-    /// In the end it waits until all is on the disk.
+    /// Whether the end of writing waits until all is on the disk.
     syncs: bool,
 }
 
 /// Result of [`ResumableFile::open`].
 pub enum Opened {
-    /// There is something to write.
+    /// The file has still to be written, as a whole or in part.
     Unfinished(Box<ResumableFile>),
-    /// An earlier call wrote all of it, and it stands in its place.
+    /// The file is complete: an earlier call wrote all of it, and it stands in its place.
     Finished(Finished),
 }
 
@@ -157,8 +157,8 @@ impl ResumableFile {
         Ok(JournalState { is_complete, parts, patches, in_target: false })
     }
 
-    /// Leaves it to the caller to bring the complete file to the disk, or not to, where it is removed soon.
-    /// Should that not come about, its checksums tell.
+    /// Leaves it to the caller to bring the complete file to the disk, or not to, where the file is removed
+    /// soon. If it never gets to the disk, its checksums tell.
     pub fn leave_syncing(&mut self) {
         self.syncs = false;
     }
@@ -168,7 +168,7 @@ impl ResumableFile {
         if self.syncs { self.file.file().sync_all() } else { Ok(()) }
     }
 
-    /// After how many pieces each of the parts ends.
+    /// Number of pieces up to the end of each part.
     pub fn boundaries(&self) -> impl Iterator<Item = u64> {
         self.journal.parts.iter().map(|p| p.pieces)
     }
@@ -255,7 +255,7 @@ impl ResumableFile {
         Ok(finished)
     }
 
-    /// The hash of the whole file, where all of it was written as one part and nothing is replaced in it.
+    /// Hash of the whole file, where all of it was written as one part and nothing is replaced in it.
     fn hash(&self) -> Option<u128> {
         if !self.journal.patches.is_empty() {
             return None;
@@ -356,8 +356,8 @@ impl Finished {
         fs::metadata(&self.places.target).map_or(0, |m| m.len())
     }
 
-    /// The XXH3 hash of 128 bits of all its bytes, where it is known without reading them: of a file that
-    /// this call wrote as one part, and in which nothing was replaced.
+    /// XXH3 hash of 128 bits of all bytes of the file, where it is known without reading them: for a file
+    /// that this call wrote as one part, and in which nothing was replaced.
     pub fn hash(&self) -> Option<u128> {
         self.hash
     }
@@ -384,7 +384,7 @@ struct JournalState {
     patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
-    /// The whole file, good, stands in its place.
+    /// The whole file stands in its place, and its checksums are right.
     in_target: bool,
 }
 
@@ -452,7 +452,7 @@ pub(crate) fn forget(path: &Path) {
 struct Journal {
     /// Hash of all that determines the bytes.
     key: String,
-    /// Ascending.
+    /// Parts in the order of the file.
     parts: Vec<JournalEntry>,
     /// Replacements in the parts, which are made in the end.
     patches: Vec<JournalPatch>,
@@ -460,16 +460,16 @@ struct Journal {
     is_complete: bool,
 }
 
-/// A run of bytes, which begins where the part before it ends.
+/// Part of the file: a run of bytes, which begins where the part before it ends.
 #[derive(Debug, Clone, PartialEq)]
 struct JournalEntry {
-    /// Number of pieces up to its end.
+    /// Number of pieces up to the end of the part.
     pieces: u64,
     /// Byte of the file at which the part ends.
     end: u64,
-    /// The hash of its bytes, before anything is replaced in them.
+    /// Hash of the part's bytes, before anything is replaced in them.
     hash: u128,
-    /// The summary of its pieces.
+    /// Summary of the part's pieces.
     summary: Summary,
 }
 
@@ -482,7 +482,7 @@ struct JournalPatch {
 }
 
 impl JournalPatch {
-    /// Puts what was there back into a block of the file, as far as it lies there, if all of that was
+    /// Puts the old bytes back into a block of the file, as far as the patch lies in it, if all of them were
     /// replaced.
     fn undo(&self, start: u64, block: &mut [u8]) {
         let from = self.at.max(start);
@@ -514,7 +514,7 @@ fn from_hex(text: &str) -> Option<Vec<u8>> {
 }
 
 impl Journal {
-    /// Lines of words, the last of which is a checksum of those before it.
+    /// Text of the journal: lines of words, the last of which is a checksum of those before it.
     fn encode(&self) -> String {
         let mut text = format!("{FORMAT}\nkey {}\n", self.key);
         for JournalEntry { pieces, end, hash, summary } in &self.parts {
@@ -568,7 +568,7 @@ impl Journal {
         journal.parts.is_sorted_by(|a, b| a.pieces < b.pieces && a.end <= b.end).then_some(journal)
     }
 
-    /// The journal in its place, if there is one; `Some(None)` if it is damaged.
+    /// Reads the journal in its place, if there is one; `Some(None)` if it is damaged.
     fn read(places: &OutputFiles) -> Option<Option<Self>> {
         // Not through a link that somebody else put there.
         let file = open_at_once(&places.journal, false).ok()?;
@@ -739,7 +739,7 @@ mod tests {
         }
     }
 
-    /// Whenever it was killed, the file becomes what it would have become.
+    /// A file of a process that was killed at any time becomes the file that it would have become.
     #[test]
     fn what_is_replaced_in_the_end_is_replaced_once() {
         let folder = tempfile::tempdir().unwrap();

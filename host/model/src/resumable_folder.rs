@@ -20,13 +20,13 @@ const SYNCED_AT_ONCE: usize = 16;
 /// Files of a folder in the making, one after the other. Dropped before [`commit`](Self::commit), it leaves
 /// no trace, unless it is to be [kept](Self::keep).
 pub struct ResumableFolder {
-    /// The file after the finished ones, where it is begun; given up before its folder is.
+    /// File after the finished ones, if it was begun; it is given up before the folder is.
     current: Option<Box<ResumableFile>>,
     folder: OutputFolder,
     names: Vec<PathBuf>,
     key: String,
     part_bytes: u64,
-    /// In the end it waits until all is on the disk.
+    /// Whether the end of writing waits until all is on the disk.
     syncs: bool,
     /// Number of finished files, which are the first ones.
     finished: usize,
@@ -38,9 +38,9 @@ pub struct ResumableFolder {
 
 /// Result of [`ResumableFolder::open`].
 pub enum OpenedFolder {
-    /// There is something to write.
+    /// The folder has still to be written, as a whole or in part.
     Unfinished(Box<ResumableFolder>),
-    /// An earlier call wrote all of it, and it stands in its place.
+    /// The folder is complete: an earlier call wrote all of it, and it stands in its place.
     Finished(FinishedFolder),
 }
 
@@ -50,8 +50,8 @@ fn key_of(key: &str, number: usize) -> String {
 }
 
 impl ResumableFolder {
-    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, what an earlier
-    /// call left is checked and kept as far as it is good.
+    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, the files that
+    /// an earlier call left are checked and kept as far as they are good.
     ///
     /// # Errors
     /// The folder cannot be written, or holds what would be lost; another process writes it; the user
@@ -122,7 +122,7 @@ impl ResumableFolder {
         self.folder.named(e)
     }
 
-    /// After how many files, and how many pieces of the next one, work can be gone on with.
+    /// Numbers of files, and of pieces of the file after them, behind which work can be gone on with.
     pub fn boundaries(&self) -> Vec<(u64, u64)> {
         let files = self.finished as u64;
         let of_files = (0..=files).map(|files| (files, 0));
@@ -307,7 +307,7 @@ impl Drop for FinishedFolder {
     }
 }
 
-/// The folder, if an earlier call had finished it and another one is to do the rest.
+/// Takes the folder in its place, if an earlier call had finished it and another one is to do the rest.
 fn in_place(
     path: &Path,
     names: &[PathBuf],
@@ -437,7 +437,7 @@ mod tests {
         assert_eq!(listed(&path.join("sub")), ["b"]);
     }
 
-    /// Wherever it stopped, it is gone on with, and nothing but the folder is left.
+    /// A folder is gone on with wherever writing stopped, and nothing but the folder is left.
     #[test]
     fn a_kept_folder_is_gone_on_with() {
         let place = tempfile::tempdir().unwrap();

@@ -7,7 +7,7 @@ use crate::bounds::Bounds;
 /// The storage of positions as integers of 32 bits: a position is number · scale + offset, axis by axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaledIntegers {
-    /// From one number to the next, in the model's unit; finite, and not zero.
+    /// Step from one number to the next, in the model's unit; finite, and not zero.
     pub scale: DVec3,
     /// The position of number zero.
     pub offset: DVec3,
@@ -60,8 +60,8 @@ impl ScaledIntegers {
         Bounds::from_points([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
     }
 
-    /// The number of steps by which the offset has to move, if it has to, so that there are numbers for all
-    /// within some bounds and a margin around them; an axis along which none will do.
+    /// Numbers of steps by which the offset has to move, if it has to, so that all positions within some
+    /// bounds and a margin around them have integers; an error with the axis along which no offset will do.
     pub(crate) fn steps_to(&self, bounds: &Bounds, margin: f64) -> Result<Option<[i64; 3]>, usize> {
         if bounds.is_empty() {
             return Ok(None);

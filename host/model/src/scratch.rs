@@ -14,7 +14,7 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct Scratch {
     file: Positioned,
-    /// The file as it is mapped.
+    /// Second handle of the file, by which it is mapped.
     handle: File,
     folder: PathBuf,
     /// Advice for a failure beside making room, for the user.
@@ -47,7 +47,7 @@ impl Scratch {
         Ok(Self { file: Positioned::new(file), handle, folder: folder.to_owned(), advice })
     }
 
-    /// A new file beside it.
+    /// Creates another temporary file in the same folder.
     ///
     /// # Errors
     /// The file cannot be made.
@@ -71,7 +71,7 @@ impl Scratch {
         self.file.read_exact_at(bytes, offset).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// Makes it `bytes` long, with zeros where nothing is written.
+    /// Sets the length of the file to `bytes`, with zeros where nothing is written.
     ///
     /// # Errors
     /// The operating system refuses.

@@ -53,7 +53,7 @@ impl SharedFile {
     }
 
     /// Puts the file, which nobody writes any more, in the place of an output, with the permissions and the
-    /// owner of what it replaces.
+    /// owner of the file that it replaces.
     ///
     /// # Errors
     /// Another process writes the output, or the operating system refuses; it is then what it was.

@@ -16,7 +16,7 @@ use crate::resumable_folder::check_target;
 use crate::target::folder_of;
 use crate::{Error, ErrorKind, Output, Progress, Result, Summary, Tile};
 
-/// By what a file is known that was written.
+/// Stamp of a file that was written, by which a later process knows the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WrittenFile {
     bytes: u64,
@@ -48,7 +48,7 @@ impl WrittenFile {
     }
 }
 
-/// Files of the folder that one process writes, one after the other: what tiles are rewritten to. Dropped
+/// Files of the folder that one process writes, one after the other, for the tiles that it rewrites. Dropped
 /// before [`keep`](Self::keep), it leaves none of them.
 ///
 /// Memory: a buffer of 256 KiB.
@@ -71,7 +71,7 @@ impl<'a> SharedFiles<'a> {
         self.written.iter().map(|(_, file)| file.clone()).collect()
     }
 
-    /// Leaves them.
+    /// Keeps the written files.
     pub fn keep(mut self) {
         self.keeps = true;
     }

@@ -29,14 +29,14 @@ pub(crate) struct SourceFile {
 enum Handle {
     /// Open.
     Open(Arc<Positioned>),
-    /// Open when it is read, as there are many.
+    /// A file that is opened when it is read, as there are many.
     Pooled(Arc<Pooled>),
     /// An object in a store.
     Object(Arc<dyn Object>),
 }
 
-/// The stamp of a file or an object, which tells whether it is what it was: its size, and when it was written
-/// or its version.
+/// Stamp of a file or an object, by which a change is noticed: its size, and the time when it was written or
+/// its version.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Stamp {
     File(u64, SystemTime),
@@ -145,8 +145,8 @@ impl SourceFile {
         self.read_at(&mut buffer[old..], offset)
     }
 
-    /// An error where the file is not as long any more as when it was opened. Of an object, all reads are of
-    /// the version that was.
+    /// Error where the file is not as long any more as when it was opened. Reads of an object are all of the
+    /// version that was opened.
     pub(crate) fn check_unchanged(&self) -> Result<()> {
         let is = match &self.file {
             Handle::Open(file) => file.metadata(),

@@ -10,16 +10,17 @@ use crate::bounds::Bounds;
 /// Summary of some pieces of a new version of a model.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Summary {
-    /// The box of the vertices as they were, in whatever the format counts in.
+    /// Box of the vertices as they were, in the unit that the format counts in.
     pub(crate) before: Bounds,
     /// The box of the vertices in the new version.
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// The boxes of parts of the file whose boxes are of numbers as it stores them: ascending, no part twice.
+    /// Boxes of those parts of the file whose boxes are of numbers as the file stores them: ascending, no
+    /// part twice.
     pub(crate) parts: Vec<PartBox>,
-    /// For each part of the model that has boxes of its own, by its number: those of the vertices as they
-    /// were, and as they are in the new version.
+    /// Boxes of each part of the model that has its own, by the part's number: that of the vertices as they
+    /// were, and that of the vertices in the new version.
     pub(crate) boxes: BTreeMap<u32, [Bounds; 2]>,
     /// The checksums of those pages of the new version of which a part is known only in the end.
     pub(crate) checksums: BTreeMap<u64, u32>,
@@ -37,10 +38,10 @@ pub(crate) struct PartBox {
 }
 
 impl PartBox {
-    /// Numbers of its word.
+    /// Numbers of a part's box in its text.
     const NUMBERS: usize = 10;
 
-    /// A box with nothing in it.
+    /// Box of a part without anything in it.
     pub(crate) fn empty(part: u32) -> Self {
         Self { part, has_moved: false, min: Vec4::INFINITY, max: Vec4::NEG_INFINITY }
     }
@@ -71,7 +72,7 @@ impl PartBox {
 }
 
 impl Summary {
-    /// Adds what comes behind it.
+    /// Adds the summary of the pieces behind these.
     pub fn absorb(&mut self, behind: &Self) {
         self.before.absorb(&behind.before);
         self.after.absorb(&behind.after);

@@ -41,7 +41,8 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     Ok(target)
 }
 
-/// The file by the one name that all paths to it share, where its folder exists. An object has one name.
+/// Path of the file by the one name that all paths to it share, where its folder exists. An object has one
+/// name.
 ///
 /// # Errors
 /// The path is a folder or a device, links lead nowhere, or the folder is missing.

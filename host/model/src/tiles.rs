@@ -26,10 +26,11 @@ use crate::pool::Pool;
 use crate::target::folder_of;
 use crate::{Attribute, Error, Progress, Result};
 
-/// Most tiles of which something is made to read them from anywhere: each has an open file for it.
+/// Most tiles for which a cache is made to read them from anywhere: each has an open file.
 const MOST_UNPACKED: usize = 64;
 
-/// Most tiles that keep their positions while they are read again, likewise, and most bytes of all of these.
+/// Most tiles whose positions are kept while the tiles are read again, and (`MOST_KEPT_BYTES`) most bytes of
+/// all these.
 const MOST_KEPT: usize = 32;
 const MOST_KEPT_BYTES: u64 = 8 << 30;
 
@@ -54,18 +55,19 @@ pub(crate) struct TiledModel {
 /// A tile, and where its vertices and attributes are among those of the whole model.
 struct TilePart {
     model: Box<dyn Model>,
-    /// Vertices of the tiles before it.
+    /// Number of vertices of the tiles before this one.
     before: u64,
-    /// Bytes of the tiles before it, and one more for each: the end of one is not the beginning of the next.
+    /// Bytes of the tiles before this one, and one more for each: the end of one is not the beginning of the
+    /// next.
     bytes_before: u64,
     /// Places of the whole model's attributes among the tile's own.
     places: Vec<usize>,
 }
 
 impl TilePart {
-    /// The moves that begin in the box that its file tells, or near to it if none does, with the same part of
-    /// the size of these as `margin` is of all: other tiles may be further away than the integers of this one
-    /// reach, and it has no vertices there.
+    /// Moves that begin in the box that the tile's file tells, or near to it if there are none, and the
+    /// margin that is the same part of their size as `margin` is of all: other tiles may be further away than
+    /// the integers of this one reach, and this tile has no vertices there.
     fn own_moves<'m>(&self, moves: &'m [[DVec3; 2]], margin: f64) -> (Cow<'m, [[DVec3; 2]]>, f64) {
         let size = |moves: &[[DVec3; 2]]| Bounds::from_points(moves.iter().map(|[_, to]| *to)).diagonal();
         let (Some(told), all) = (self.model.told_bounds(), size(moves)) else {

@@ -33,7 +33,7 @@ pub(crate) struct UncachedFile {
 }
 
 impl UncachedFile {
-    /// From the beginning of an open file on.
+    /// Writer from the beginning of an open file on.
     pub(crate) fn new(file: File) -> Self {
         let disk = Disk { file, is_direct: true };
         Self { disk, buffer: AlignedBuffer::default(), offset: 0, begin: 0, behind: None }
@@ -109,7 +109,7 @@ impl UncachedFile {
         Ok(())
     }
 
-    /// Has a full buffer written, and begins an empty one.
+    /// Hands a full buffer over to be written, and begins an empty one.
     fn hand_over(&mut self) -> io::Result<()> {
         if self.behind.is_none() {
             self.disk.write(self.buffer.bytes(), self.offset)?;
@@ -125,7 +125,7 @@ impl UncachedFile {
         Ok(())
     }
 
-    /// Waits until the thread has written what it was given.
+    /// Waits until the thread has written all that it was given.
     ///
     /// # Errors
     /// As of [`write`](Self::write).
@@ -140,7 +140,7 @@ struct AlignedBuffer {
     /// Empty until it is needed.
     memory: Vec<u8>,
     origin: usize,
-    /// So many bytes from `origin` on have a meaning.
+    /// Number of bytes from `origin` on that have a meaning.
     filled: usize,
 }
 
@@ -149,7 +149,7 @@ impl AlignedBuffer {
         &self.memory[self.origin..self.origin + self.filled]
     }
 
-    /// The next `count` bytes, for their values; no more than there is room for.
+    /// Room for the next `count` bytes, which have to fit into the buffer.
     fn take_room(&mut self, count: usize) -> &mut [u8] {
         if self.memory.is_empty() {
             // Half of it, or nearly, is never touched.
@@ -220,11 +220,11 @@ impl Disk {
     }
 }
 
-/// A thread that writes one full buffer after the other, so that who fills them does not wait for the disk.
-/// The thread and its owner never use the file at the same time, whose place and flags they share.
+/// Thread that writes one full buffer after the other, so that the owner does not wait for the disk. The
+/// thread and its owner never use the file, whose position and flags they share, at the same time.
 #[derive(Debug)]
 struct WriteBehind {
-    /// A buffer and where in the file it belongs; nothing once one could not be written.
+    /// Sender of a buffer and its place in the file; none once one could not be written.
     full: Option<SyncSender<(AlignedBuffer, u64)>>,
     /// The buffer that was written, empty again.
     empty: Receiver<io::Result<AlignedBuffer>>,

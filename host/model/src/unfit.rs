@@ -6,7 +6,7 @@ use crate::{Edited, Error, Scalar, VertexChunk};
 /// A coordinate that the file cannot hold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Unfit {
-    /// The vertex that has it, counted from the first of the chunk.
+    /// Vertex that has the coordinate, counted from the first of the chunk.
     pub(crate) vertex: usize,
     pub(crate) axis: usize,
     pub(crate) value: f64,
@@ -42,7 +42,7 @@ pub(crate) fn same_normal(old: f32, new: f32) -> bool {
     old.to_bits() == new.to_bits() || (old.is_nan() && new.is_nan())
 }
 
-/// A coordinate of the position (0 to 2) or the normal (3 to 5) of a vertex of a chunk, of type `scalar` in
+/// New coordinate of the position (0 to 2) or the normal (3 to 5) of a vertex of a chunk, of type `scalar` in
 /// the file, if it was edited.
 #[inline(always)]
 pub(crate) fn new_component(

@@ -26,7 +26,7 @@ const UNITS: [&str; 3] = ["UNIT", "LENGTHUNIT", "ANGLEUNIT"];
 /// Units that are told: there is one of the plane, and one of heights.
 const MOST_UNITS: usize = 4;
 
-/// Most nodes within each other; deeper ones are of none that matters here.
+/// Most nodes within each other; deeper ones belong to none that matters here.
 const DEEPEST: usize = 32;
 
 /// A text in one line, without what ends texts in files; `None` where nothing is left of it.

@@ -20,9 +20,9 @@ pub struct PictureCamera {
 }
 
 impl PictureCamera {
-    /// Looks at the middle of a box (its lowest and highest corners) so that it fills a picture of the given
-    /// aspect (width by height), from a direction: `yaw` turns to the right about +y from +z, `pitch` looks
-    /// down, in radians.
+    /// Camera that looks at the middle of a box (its lowest and highest corners) so that the box fills a
+    /// picture of the given aspect (width by height), from a direction: `yaw` turns to the right about +y
+    /// from +z, `pitch` looks down, in radians.
     pub fn frame(bounds: [DVec3; 2], yaw: f64, pitch: f64, aspect: f64) -> Self {
         let [low, high] = bounds;
         let target = 0.5 * (low + high);
@@ -72,7 +72,7 @@ impl PictureCamera {
         self.position
     }
 
-    /// From the target to the eye.
+    /// Distance of the eye from the target.
     pub(super) fn distance(&self) -> f64 {
         self.position.distance(self.target)
     }
@@ -135,7 +135,7 @@ pub(super) struct Lens {
     pub center: [f32; 2],
     /// Pixels per unit at distance 1.
     pub scale: [f32; 2],
-    /// One over the scale: rays are asked for more often than anything else.
+    /// Inverse of the scale: rays are asked for more often than anything else.
     inverse: [f32; 2],
     /// Nearer points are not drawn.
     pub near: f32,

@@ -66,7 +66,7 @@ fn pixel(black: [u8; 3], white: [u8; 3]) -> [u8; 4] {
     [r, g, b, (255.0 * opacity).round() as u8]
 }
 
-/// Between values of the sRGB standard (IEC 61966-2-1) and linear ones.
+/// Linear value of a byte of the sRGB standard (IEC 61966-2-1).
 fn linear(c: u8) -> f32 {
     let c = f32::from(c) / 255.0;
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }

@@ -21,19 +21,19 @@ const LEAST_WEIGHT: f32 = 1e-4;
 struct PictureTriangle {
     /// Positions of the corners in the picture, in samples; they may be far outside it.
     corners: [DVec2; 3],
-    /// One over twice the area, in samples; of either sign, and infinite where there is none.
+    /// Inverse of twice the area, in samples; of either sign, and infinite where there is no area.
     by_area: f64,
-    /// One over the corners' depths.
+    /// Inverses of the corners' depths.
     inverse: [f32; 3],
     normals: [Vec3; 3],
     colors: [Vec3; 3],
     /// Largest distance of two depths of one surface from each other at a sample, for each unit of depth.
     slack: f32,
     weight: f32,
-    /// The samples within its box: columns and rows, each from the first to beyond the last.
+    /// Samples within the triangle's box: columns and rows, each from the first to beyond the last.
     columns: [usize; 2],
     rows: [usize; 2],
-    /// The sample that it shows at though it covers no middle.
+    /// Sample at which the triangle is shown though it covers no sample's middle.
     only: Option<[usize; 2]>,
 }
 
@@ -56,7 +56,8 @@ fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
 }
 
 impl PictureTriangle {
-    /// None for what is out of the picture of the given size, or has a corner that is not before the camera.
+    /// Triangle in a picture of the given size; none if it is outside, or has a corner that is not before the
+    /// camera.
     fn new(
         camera: &PictureCamera,
         lens: &Lens,
@@ -133,7 +134,7 @@ impl PictureTriangle {
         (depth, parts.map(|part| part * depth))
     }
 
-    /// Calls `hit` for each sample of some rows at which it shows, by its column and row.
+    /// Calls `hit` for each sample of some rows at which the triangle is shown, with its column and row.
     #[inline]
     fn visit(&self, [first, last]: [usize; 2], mut hit: impl FnMut(usize, usize, f32, [f32; 3])) {
         if let Some([x, y]) = self.only {

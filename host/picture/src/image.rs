@@ -147,7 +147,7 @@ pub(crate) fn encode(width: u32, height: u32, color: png::ColorType, pixels: &[u
     Ok(bytes)
 }
 
-/// From linear to 8-bit sRGB, with the brightest parts rolled off instead of cut.
+/// Byte of 8-bit sRGB for a linear value, with the brightest parts rolled off instead of cut.
 fn srgb(x: f32) -> u8 {
     const KNEE: f32 = 0.8;
     let x = x.max(0.0);

@@ -15,7 +15,7 @@ pub(super) type Painted<'a> = Option<(usize, &'a PaintBy<'a>)>;
 /// Source of the points' colours.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Coloring {
-    /// All alike.
+    /// No source: all points look alike.
     Clay,
     /// The vertices' own colours.
     Own(Colors),
@@ -26,7 +26,7 @@ pub enum Coloring {
 /// Colours of points, by their numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Paint {
-    /// All alike.
+    /// All points look alike.
     Clay,
     /// The vertices' own colours, whose numbers mean this.
     Own(Colors, ColorScale),
@@ -160,8 +160,8 @@ impl Paint {
         }
     }
 
-    /// The colour of a point, 8-bit sRGB, by its attribute at each place; nothing of points that are all
-    /// alike.
+    /// Colour of a point, 8-bit sRGB, by its attribute at each place; attributes do not matter where all
+    /// points are alike.
     #[inline]
     pub fn color(&self, attribute: impl Fn(usize) -> f64) -> [u8; 3] {
         match self {
@@ -180,7 +180,7 @@ impl Paint {
         }
     }
 
-    /// A picture with what its colours mean below it.
+    /// Returns a picture with a legend of its colours below it.
     pub fn with_legend(&self, image: &Image) -> Image {
         let Some((name, [from, to])) = self.legend() else { return image.clone() };
         let color = |t: f32| match self {
@@ -197,7 +197,8 @@ fn part([from, to]: [f64; 2], x: f64) -> f32 {
     if to > from { ((x - from) / (to - from)) as f32 } else { 0.0 }
 }
 
-/// Whole numbers, which doubles hold, as they are; others with four digits at most.
+/// Text of a number: whole numbers, which double precision holds, as they are; others with four digits at
+/// most.
 fn short(x: f64) -> String {
     if x.fract() == 0.0 && x.abs() < 1e15 {
         return format!("{x}");
@@ -211,7 +212,7 @@ struct NumberSurvey {
     least: f64,
     most: f64,
     some: Vec<f64>,
-    /// One of so many is among these.
+    /// Step of the survey: one of so many numbers is kept.
     stride: u64,
     count: u64,
 }

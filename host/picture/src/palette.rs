@@ -1,6 +1,6 @@
 //! Colours that stand for numbers.
 
-/// From the least to the largest number: light to dark, so that they are told apart in print and by
+/// Colours from the least to the largest number: light to dark, so that they are told apart in print and by
 /// everybody.
 const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];

@@ -147,7 +147,7 @@ impl SeenSurface {
             .collect()
     }
 
-    /// The mean over the samples of a tile around each one that lie on its surface.
+    /// Mean of the values over the samples of a tile around each sample that lie on its surface.
     fn blurred(&self, values: &[f32]) -> Vec<f32> {
         const BEFORE: usize = OCCLUSION_TILE / 2;
         (0..values.len())
@@ -227,7 +227,7 @@ fn background(
     if t > 0.0 && t.is_finite() { paper * (1.0 - ground.shadow(eye + way * t)) } else { paper }
 }
 
-/// From sRGB to linear, near enough for a picture's own colours.
+/// Linear value of an sRGB colour, near enough for a picture's own colours.
 fn linear(srgb: Vec3) -> Vec3 {
     srgb.map(|c| c * (c * (c * 0.305_306_02 + 0.682_171_1) + 0.012_522_88))
 }

@@ -10,7 +10,7 @@ use super::camera::{Lens, PictureCamera};
 pub(super) const BAND: usize = 64;
 /// Points projected at a time: the bound of the buffer of splats.
 pub(super) const BATCH: usize = 1 << 16;
-/// A splat reaches at least so many pixels around its middle, so that none falls between samples.
+/// Least reach of a splat in pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
 /// Shares of their radius to which discs seen from the front and from the back hide what is behind them;
 /// farther out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface,
@@ -103,16 +103,16 @@ struct ViewSplat {
     /// Unit normal towards the eye; zero where it is not known.
     normal: Vec3,
     color: Vec3,
-    /// In another picture of the same.
+    /// Colour in another picture of the same discs.
     other: Vec3,
     radius: f32,
-    /// The half axes of an ellipse, over the squares of their lengths.
+    /// Half axes of an ellipse, over the squares of their lengths.
     axes: Option<[Vec3; 2]>,
-    /// Least weight with which it hides what is behind it.
+    /// Least weight with which the splat hides what is behind it.
     hiding: f32,
     from_back: bool,
     pixel: [f32; 2],
-    /// Pixels that it reaches around its middle.
+    /// Reach of the splat in pixels around its middle.
     reach: f32,
     /// The samples that are drawn: columns and rows, each from the first to beyond the last.
     columns: [usize; 2],
@@ -128,7 +128,7 @@ enum SplatDetail {
 }
 
 impl ViewSplat {
-    /// None for what is out of the picture of the given size, or no disc at all.
+    /// Splat in a picture of the given size; none if the point is outside, or is no disc at all.
     fn new(
         (camera, lens): (&PictureCamera, &Lens),
         (size, drawn): ([usize; 2], SplatDetail),
@@ -180,7 +180,7 @@ impl ViewSplat {
         })
     }
 
-    /// The least depth that any of it has.
+    /// Least depth of any point of the splat.
     #[inline]
     fn least_depth(&self) -> f32 {
         self.center.z - self.radius
@@ -339,7 +339,7 @@ impl SplatBuffer {
     }
 }
 
-/// The things of a batch that each band of a picture shows, in their order.
+/// Index of the things of a batch that each band of a picture shows, in their order.
 ///
 /// Memory: 4 bytes for each band that one is in.
 #[derive(Default)]

@@ -34,7 +34,7 @@ struct FunctionDescription {
 /// A parameter, and its default.
 #[derive(Deserialize)]
 struct Parameter {
-    /// As the function calls it.
+    /// Name of the parameter in the function.
     name: String,
     id: String,
     #[serde(flatten)]
@@ -161,7 +161,7 @@ fn to_model(map: &Affine, frame: &ModelFrame) -> [[f64; 4]; 3] {
     })
 }
 
-/// There is a state of another plugin's.
+/// Error of a state that another plugin made.
 fn no_state() -> PluginError {
     PluginError::internal("the state is another plugin's")
 }

@@ -145,7 +145,8 @@ impl Model {
         Ok(samples)
     }
 
-    /// Writes the model as its samples are deformed now: one stream through the file. Gives a `simod.Report`.
+    /// Writes the model as its samples are deformed now: one stream through the file. Returns a
+    /// `simod.Report`.
     ///
     /// `out` appears whole or not at all, and is never the model itself. It has the model's vertices in their
     /// order, and differs in positions and normals alone; with the extension of another format it is

@@ -13,7 +13,7 @@ pub fn record<'py>(py: Python<'py>, class: &str, content: &Value) -> PyResult<Bo
     py.import("simod._records")?.getattr("record")?.call1((class, content.to_string()))
 }
 
-/// A word that stands for something, of those that sessions have.
+/// Value of a word, one of those that sessions have.
 fn word<T: serde::de::DeserializeOwned>(
     py: Python<'_>,
     what: &str,

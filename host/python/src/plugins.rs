@@ -20,7 +20,7 @@ fn program(py: Python<'_>) -> PyResult<PathBuf> {
     py.import("simod._program")?.getattr("PROGRAM")?.extract()
 }
 
-/// All plugins.
+/// Registry of all plugins.
 pub fn registry(py: Python<'_>) -> PyResult<Arc<PluginRegistry>> {
     let program = program(py)?;
     // Looking for them takes the lock that others wait for with that of the interpreter.

@@ -75,7 +75,7 @@ impl UndoMoment {
         if far.is_unshifted() { self.local.to_vec().into() } else { far }
     }
 
-    /// The deformed positions, rounded as they are written.
+    /// Deformed positions, rounded as they are written.
     fn rounded(&self) -> DeformedPositions {
         let deformed = self.deformed();
         self.sampled.rounded_places(deformed.places(&self.sampled.frame))
@@ -146,13 +146,13 @@ impl Samples {
         Ok(Self { state: Mutex::new(state), of_file })
     }
 
-    /// The samples, and where they are now: finite local positions.
+    /// Samples, and their finite local positions now.
     pub fn now(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, Arc<[Vec3]>)> {
         let UndoMoment { sampled, local, .. } = self.state(py).look(py)?;
         Ok((sampled, local))
     }
 
-    /// The samples, and where they are now, as they are written.
+    /// Samples, and their positions now, as they are written.
     pub fn written(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, DeformedPositions)> {
         let now = self.state(py).look(py)?;
         let deformed = now.rounded();
@@ -252,8 +252,8 @@ impl Samples {
         arrays::of_directions(py, &normals)
     }
 
-    /// Triangles between the samples, by their indices: shape (T, 3), uint32; none where the model has no
-    /// faces.
+    /// Triangles between the samples, by the samples' indices: shape (T, 3), uint32; none where the model has
+    /// no faces.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         arrays::of_triples(py, self.sampled(py).triangles.as_flattened().to_vec())
@@ -297,8 +297,8 @@ impl Samples {
         format!("<simod.Samples: {} of {} vertices>", sampled.samples.len(), sampled.source.vertices)
     }
 
-    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from where they
-    /// are now. On an error they stay where they are.
+    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from their
+    /// positions now. On an error the samples stay where they are.
     ///
     /// `parameters` are the plugin's (`help(simod.plugins["rbf"])`), with `_` for `-`, and `from_` for
     /// `from`; `params` are such as well, by their ids. `regions` is a list of dictionaries as in a session:
@@ -343,7 +343,7 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Appends samples in a part of the model, where they are now; those that there are keep their indices,
+    /// Appends samples in a part of the model as it is deformed now; the samples before keep their indices,
     /// and all arrays become new ones.
     ///
     /// `shapes` is a list of shapes as in a session, on the model as it is deformed now; it may be left out
@@ -453,8 +453,8 @@ impl Samples {
         py.detach(|| sampled.save(&folder)).or_raise(py)
     }
 
-    /// Writes the samples where they are now as a PLY file, which `simod reconstruct --deformed` takes, or
-    /// any other program.
+    /// Writes the samples at their positions now as a PLY file, which `simod reconstruct --deformed` takes,
+    /// or any other program.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let (sampled, deformed) = self.written(py)?;
         let write = || {
@@ -466,8 +466,8 @@ impl Samples {
         py.detach(write).or_raise(py)
     }
 
-    /// Moves the samples to where a file has them: `samples.ply` with other positions, from any program.
-    /// Where it has ids, they tell which is which; otherwise the order does.
+    /// Moves the samples to the positions that a file has: `samples.ply` with other positions, from any
+    /// program. If the file has ids, these assign its points to the samples; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
         let read =
@@ -484,7 +484,7 @@ impl Samples {
     }
 }
 
-/// Moves by ids as a session has them: a list of dictionaries.
+/// Moves of handles by their ids, as a session has them: a list of dictionaries.
 fn by_id<'py>(moves: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let Ok(moves) = moves.cast::<PyDict>() else {
         return moves.try_iter()?.map(|entry| Ok(entry?.cast_into::<PyDict>()?)).collect();

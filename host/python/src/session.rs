@@ -38,7 +38,7 @@ impl Session {
         &self.path
     }
 
-    /// The model that it names, if it does.
+    /// Path of the model that the session names, if it does.
     #[getter]
     fn model(&self) -> Option<&Path> {
         self.file.model.as_deref()
@@ -50,7 +50,7 @@ impl Session {
         self.file.output.as_deref()
     }
 
-    /// The names of its steps, first to last, without those that are switched off.
+    /// Names of the session's steps, first to last, without those that are switched off.
     #[getter]
     fn steps(&self) -> Vec<&str> {
         self.file.steps.iter().filter(|step| step.enabled).map(|step| step.name()).collect()

@@ -66,8 +66,8 @@ fn masks(step: &Bound<'_, PyDict>, table: &mut Table, samples: usize) -> PyResul
     Ok(masks)
 }
 
-/// A dictionary, whose names may have `_` for `-`, and one more at the end where they are Python's own, as
-/// `from_`; what is None is left out.
+/// Table of a dictionary, whose names may have `_` for `-`, and one more at the end where they are Python's
+/// own, as `from_`; values of None are left out.
 fn table(of: &Bound<'_, PyDict>) -> PyResult<Table> {
     let mut table = Table::new();
     for (key, given) in of {
@@ -79,7 +79,7 @@ fn table(of: &Bound<'_, PyDict>) -> PyResult<Table> {
     Ok(table)
 }
 
-/// Anything that has a counterpart in a session.
+/// Value of a Python object that has a counterpart in a session.
 fn value(of: &Bound<'_, PyAny>) -> PyResult<Value> {
     if let Ok(table_of) = of.cast::<PyDict>() {
         return table(table_of).map(Value::Table);

@@ -68,7 +68,7 @@ impl Progress for Watch {
 }
 
 impl Watch {
-    /// The stage, and how much of it is done: nothing where that is not known.
+    /// Stage, and the part of it that is done: none where that is not known.
     fn place(&self) -> (&'static str, Option<f64>) {
         let WorkStage { name, total } = *locked(&self.stage);
         let done = self.done.load(Ordering::Relaxed);
@@ -76,7 +76,7 @@ impl Watch {
     }
 }
 
-/// Counts work as long as it goes on.
+/// Count of work, as long as the work goes on.
 struct GoingOn;
 
 impl GoingOn {
@@ -97,8 +97,8 @@ impl Drop for GoingOn {
     }
 }
 
-/// Stops all work, and waits until it has: as the interpreter ends, threads that wait for its lock would
-/// never get it.
+/// Stops all work, and waits until it has ended: as the interpreter ends, threads that wait for its lock
+/// would never get it.
 #[pyfunction(name = "_stop_all")]
 pub fn stop_all(py: Python<'_>) {
     ENDING.store(true, Ordering::Relaxed);
@@ -144,7 +144,7 @@ impl Finish {
     }
 }
 
-/// Tells that it is over whatever became of the thread.
+/// Tells that work is over, whatever became of its thread.
 struct Telling<'a>(&'a Finish);
 
 impl Drop for Telling<'_> {
@@ -153,8 +153,8 @@ impl Drop for Telling<'_> {
     }
 }
 
-/// Does work, and gives its result with what there was to note. The first that `progress` or a signal raises
-/// stops it, and is raised.
+/// Does work, and returns its result with the notes on it. The first exception of `progress` or a signal
+/// stops the work, and is raised.
 pub fn work<T: Send>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,
@@ -201,7 +201,7 @@ pub fn work<T: Send>(
     }
 }
 
-/// The exception for what became of work, with what a Python function raised as its cause.
+/// Exception for an error of work, with the exception of a Python function as its cause.
 fn failed(py: Python<'_>, error: &Error) -> PyErr {
     let exception = exception(py, error);
     let cause = locked(&RAISED).take();

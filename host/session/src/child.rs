@@ -23,7 +23,7 @@ pub enum End {
     TooLong,
     /// The process asked for more memory than it may have.
     OutOfMemory,
-    /// Otherwise: by a signal, or an exit code.
+    /// The process ended badly otherwise: by a signal, or with an exit code.
     Badly(String),
 }
 
@@ -33,7 +33,7 @@ pub struct Outcome {
     pub end: End,
     /// The end of what the process printed on standard output.
     pub output: String,
-    /// The last line that it printed on standard error; may be empty.
+    /// The last line that the process printed on standard error; may be empty.
     pub last_error: String,
 }
 
@@ -77,7 +77,7 @@ pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
     ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|text| errors.contains(text))
 }
 
-/// The end of what a process prints, read by a thread, so that it never waits for a reader.
+/// End of the text that a process prints, read by a thread, so that the process never waits for a reader.
 pub struct Tail {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: Option<std::thread::JoinHandle<()>>,
@@ -147,7 +147,7 @@ fn describe_code(status: ExitStatus) -> String {
 /// Whether [`limit_memory`] has an effect on this system.
 pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 
-/// Ends this process together with the one of this number that started it; at once, if that has ended
+/// Ends this process together with the process of this number that started it; at once, if that one has ended
 /// already. On Linux by a signal of the system's; elsewhere a process that does not listen goes on for a
 /// moment when the other one is killed.
 pub fn end_with(parent: u32) {
@@ -167,8 +167,8 @@ pub fn end_with(parent: u32) {
     let _ = parent;
 }
 
-/// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the
-/// disk when it crashes. On Linux; other systems have no such limits.
+/// Limits the memory of this process to so many bytes from now on, and keeps it from leaving an image of its
+/// memory on the disk when it crashes. On Linux; other systems have no such limits.
 ///
 /// Memory that threads reserve comes on top: their stacks, and for all addresses, which also count where they
 /// are not used, the arenas of the C library.

@@ -11,7 +11,7 @@ use simod_model::frame::Frame;
 pub struct Motion {
     /// The translation, in the model's unit.
     pub translate: DVec3,
-    /// About which it turns; any length but zero where it does turn.
+    /// Axis of the rotation; of any length but zero where there is a rotation.
     pub axis: DVec3,
     /// The angle, right-handed.
     pub degrees: f64,
@@ -22,7 +22,7 @@ pub struct Motion {
     pub scale: f64,
 }
 
-/// A motion as files have it: what differs from none at all.
+/// Motion as files have it: only what differs from no motion.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct MotionTable {

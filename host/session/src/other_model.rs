@@ -20,7 +20,7 @@ use std::time::SystemTime;
 /// Most samples that are taken as they are.
 const MOST_SAMPLES: u64 = 1 << 22;
 
-/// The file that says what a sampled model is, and its samples.
+/// File that describes a sampled model, and the file of its samples.
 const OF_SAMPLED: [&str; 2] = ["simod.toml", "samples.ply"];
 
 /// Points of another model.
@@ -101,7 +101,7 @@ impl OtherModel {
         Self::from_samples(kind, SampleSet::new(local, Vec::new())?, &theirs, ids, triangles, frame)
     }
 
-    /// The model by its samples, in local coordinates of their own.
+    /// Model from its samples, in local coordinates of their own.
     fn from_samples(
         (kind, vertices): (api::PointsKind, u64),
         samples: SampleSet,
@@ -126,7 +126,7 @@ impl OtherModel {
         Ok(Self { kind, vertices, positions, normals, ids, triangles })
     }
 
-    /// As plugins have it, for the parameter of an id.
+    /// View of the model as plugins have it, for the parameter of an id.
     pub fn view<'a>(&'a self, param: &'a str) -> api::OtherModel<'a> {
         let Self { kind, vertices, positions, normals, ids, triangles } = self;
         api::OtherModel::new((param, *kind, *vertices), positions, normals, ids, triangles)

@@ -90,7 +90,8 @@ impl Params {
         self.values.iter().map(|(id, _, value)| (id.as_str(), value))
     }
 
-    /// As plugins get them: points and lengths in local coordinates, defaults placed in the model's box.
+    /// Parameters as plugins get them: points and lengths in local coordinates, defaults placed in the
+    /// model's box.
     pub fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
         let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {
             let mut text = String::new();
@@ -180,7 +181,7 @@ impl LocalParams {
         Self(self.0.iter().filter(|(id, ..)| chosen(id)).cloned().collect())
     }
 
-    /// Views of them.
+    /// Views of the parameters, as plugins take them.
     pub fn views(&self) -> Vec<Param<'_>> {
         self.0
             .iter()

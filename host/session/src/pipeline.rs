@@ -143,7 +143,7 @@ pub fn deform_from(
 }
 
 /// Writes the model as its samples were deformed, from `model`, which was sampled, to a file of its own
-/// format or of another one that the name says. Of `running`, what is of the writing counts.
+/// format or of another one that the file's name says. Of `running`, the options of writing count.
 ///
 /// # Errors
 /// As of [`reconstruct`]; another format cannot hold all.
@@ -192,8 +192,8 @@ pub struct Running<'a> {
     pub exact: bool,
     /// Samples are added until nothing is expected to be off by more.
     pub tolerance: Option<Tolerance>,
-    /// The offset of positions that are stored as integers may be [another one](choose_offset), where they do
-    /// not reach.
+    /// Whether the offset of positions that are stored as integers may be [another one](choose_offset), where
+    /// the integers do not reach.
     pub choose_offset: bool,
     /// Whether output in another format than the model's may lose content that the format cannot hold.
     pub lossy: bool,
@@ -356,8 +356,8 @@ impl Run {
     }
 }
 
-/// The samples that meet a tolerance, of a model as it is read and as it is written. It may be sampled anew,
-/// but where an error was asked for that is not exchanged for a number of samples.
+/// Samples that meet a tolerance, of a model as it is read and as it is written. The model may be sampled
+/// anew, but where an error was asked for that is not exchanged for a number of samples.
 fn met(
     sampled: SampledModel,
     [read, written]: [&dyn Model; 2],

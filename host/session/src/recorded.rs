@@ -27,16 +27,16 @@ fn read<'de, D: Deserializer<'de>, Table: for<'t> Deserialize<'t>, T>(
     of_table(serde_json::from_value(value).map_err(D::Error::custom)?).map_err(D::Error::custom)
 }
 
-/// Writes what a session has, if it can have it.
+/// Writes the table of a session, if the session can have it.
 fn write<S: Serializer>(table: Result<impl Serialize, String>, to: S) -> Result<S::Ok, S::Error> {
     table.map_err(S::Error::custom)?.serialize(to)
 }
 
-/// A step, with what a session tells by where it is.
+/// Record of a step, with the folder and the place that a session's file tells by where it is.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StepRecord {
-    /// The step, as a session has it.
+    /// Step as a session has it.
     step: toml::Table,
     /// Folder to which the paths of the step's files are relative.
     #[serde(default)]
@@ -115,7 +115,7 @@ impl<'de> Deserialize<'de> for HandleMove {
 /// The plugin of the step that a part is read and written in.
 const ANY: &str = "any";
 
-/// The only part of its kind in a step, as a session has it.
+/// Table of the only part of its kind in a step, as a session has it.
 fn part_of(kind: &str, around: Deformation) -> Result<toml::Value, String> {
     let mut table = table_of(Step::new(Action::Deform(around)))?;
     only_element(table.remove(kind)).ok_or_else(|| format!("it is no {kind}"))
@@ -238,7 +238,7 @@ mod tests {
         assert_comes_back(&HandleMove { id: "a".to_owned(), motion: motion() }, r#"{"id":"a","move":{"#);
     }
 
-    /// Recordings that a former program wrote of these.
+    /// Recordings of these that a former program wrote.
     #[test]
     fn former_recordings_are_read() {
         let lines = include_str!("former-recording.jsonl").lines();

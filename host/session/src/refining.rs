@@ -20,9 +20,9 @@ pub struct Room<'a> {
 /// The pose of the model in which the shapes are meant.
 #[derive(Clone, Copy)]
 pub enum ShapePose<'a> {
-    /// As the deformation so far, if there is one, has left it.
+    /// The shape as the deformation so far, if there is one, has left it.
     Deformed(Option<&'a DeformationField<'a>>),
-    /// At rest, whatever the deformation so far.
+    /// The shape at rest, whatever the deformation so far.
     Rest(Option<&'a DeformationField<'a>>),
 }
 

@@ -10,14 +10,14 @@ use simod_plugin_api::Time;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
-/// No session is longer than this; a model that is given in its place may be.
+/// Most bytes of a session; a model that is given in its place may be longer.
 pub(crate) const LARGEST: u64 = 16 << 20;
 
 /// The format's version: raised when what a session says could not be understood any more by former versions.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow, have no tiles, and whose steps have no titles,
-/// amounts or groups: former programs understand them.
+/// Version of sessions that declare nothing to follow, have no tiles, and whose steps have no titles, amounts
+/// or groups: former programs understand these sessions.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
@@ -25,12 +25,12 @@ pub(crate) const FIRST_VERSION: i64 = 1;
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
-    /// The files that it is made of, and patterns of such, where it is made of tiles; another `model` that is
-    /// given takes their place.
+    /// Files that the model is made of, and patterns of such, where it is made of tiles; another `model` that
+    /// is given takes their place.
     pub tiles: Vec<PathBuf>,
     /// Columns of the model, if it is a text in columns that does not name them, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
-    /// Numbers of the vertices that turn with the surface, by what their names begin with.
+    /// Numbers of the vertices that turn with the surface, by the beginning of their names.
     pub follow: BTreeMap<String, TensorKind>,
     /// The model's [fingerprint](simod_core::sampled_model::SourceRecord) when the session was saved.
     pub fingerprint: Option<String>,
@@ -42,7 +42,7 @@ pub struct SessionFile {
     pub time: SessionTime,
     /// Path of the deformed model.
     pub output: Option<PathBuf>,
-    /// The output's path as it stands in the file, if this was read from one.
+    /// Path of the output as it stands in the file, if the session was read from one.
     pub named_output: Option<PathBuf>,
 }
 
@@ -54,7 +54,7 @@ pub struct SamplingTable {
     pub samples: Option<u64>,
     /// Largest error, as a fraction of the diagonal of the bounding box.
     pub error: Option<f64>,
-    /// Cells of the grid along its longest side.
+    /// Cells of the grid along the grid's longest side.
     pub grid: Option<u32>,
     /// Amount by which samples are spread; the error of their clusters, where not given.
     pub by: Option<By>,
@@ -154,8 +154,8 @@ pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     })
 }
 
-/// All files that a session, or a file of methods, names to be read: the model, strokes, selections, files
-/// among parameters. What is missing is told when it is needed.
+/// Files that a session, or a file of methods, names to be read: the model, strokes, selections, files among
+/// parameters. Missing ones are reported when they are needed.
 ///
 /// # Errors
 /// The file itself cannot be read.

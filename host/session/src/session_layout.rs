@@ -13,11 +13,10 @@ use toml_edit::{ArrayOfTables, DocumentMut, Item, RawString, Table, TableLike, V
 /// Key that is never left out of a file, even where its value is what holds without it.
 const STROKES: &str = "strokes";
 
-/// Most pairs of tables that are compared to find out which of them are the same; beyond, only those at both
-/// ends are.
+/// Most pairs of tables that are compared to find the same ones; beyond, only those at both ends are.
 const MOST_PAIRS: usize = 4_000_000;
 
-/// The file as it stands, with what differs between the base and the changed session.
+/// Text of the file, with the differences between the base and the changed session.
 pub(crate) fn changed(mut file: DocumentMut, base: &DocumentMut, mut to: DocumentMut) -> DocumentMut {
     // Without a version all is understood that there is.
     if !file.contains_key("version") {
@@ -107,8 +106,8 @@ fn change_tables(file: &mut ArrayOfTables, base: &ArrayOfTables, to: ArrayOfTabl
     }
 }
 
-/// For each of the tables afterwards, the one before that it came from, if any: the same ones first, in
-/// order, and among those between two of these the next of the same kind.
+/// Index of the former table that each of the new ones came from, if any: first those of the same content, in
+/// order, and among the ones between two of these the next of the same kind.
 fn pairs(base: &ArrayOfTables, to: &ArrayOfTables) -> Vec<Option<usize>> {
     let hashes = |tables: &ArrayOfTables| tables.iter().map(hash).collect::<Vec<_>>();
     let (before, after) = (hashes(base), hashes(to));
@@ -126,8 +125,8 @@ fn pairs(base: &ArrayOfTables, to: &ArrayOfTables) -> Vec<Option<usize>> {
     pairs
 }
 
-/// For each hash afterwards, the place of the same before, in order: a longest common subsequence of what is
-/// between the beginning and the end that both share.
+/// Index of the same former hash for each new one, in order: a longest common subsequence of what is between
+/// the beginning and the end that both share.
 fn common(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     let start = before.iter().zip(after).take_while(|(a, b)| a == b).count();
     let rest = (&before[start..], &after[start..]);
@@ -216,7 +215,7 @@ fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|integer| integer as f64))
 }
 
-/// Tables stand where their keys do from now on, and not where they stood in the file: new ones have no such
+/// Removes the places of tables in the file, so that they stand where their keys do: new ones have no such
 /// place.
 fn unplace(table: &mut Table) {
     table.set_position(None);
@@ -467,8 +466,8 @@ refine = { factor = 4, shapes = [
     }
 
     proptest! {
-        /// Whatever becomes of a session, it is the one that is meant, and comments are each there once at
-        /// most.
+        /// A session that is changed in any way is written as it is meant, and comments are each there once
+        /// at most.
         #[test]
         fn what_is_written_over_a_file_is_what_was_meant(before in steps(), after in steps()) {
             let folder = tempfile::tempdir().unwrap();

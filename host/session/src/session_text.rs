@@ -24,7 +24,7 @@ impl SessionFile {
         Self::parse(&text, path)
     }
 
-    /// Reads a session from its text; `path` is where it came from.
+    /// Reads a session from its text; `path` is the file that the text came from.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = SessionText { text, path };
         let table: SessionTable = tables::read(text).map_err(|e| source.refused(&e))?;
@@ -58,9 +58,9 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
 
 /// The file, for errors that say where.
 pub struct SessionText<'a> {
-    /// All that is written in it.
+    /// Text of the whole file.
     pub text: &'a str,
-    /// The file's path, which other paths in it are relative to the folder of.
+    /// Path of the file, to whose folder other paths in it are relative.
     pub path: &'a Path,
 }
 
@@ -88,7 +88,7 @@ impl SessionText<'_> {
         self.path.parent().unwrap_or(Path::new(""))
     }
 
-    /// The parser's complaint on one line, with the line of the file that it is about.
+    /// Error of the parser on one line, with the number of the file's line.
     pub fn refused(&self, error: &tables::TableError) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
@@ -236,7 +236,7 @@ impl SessionText<'_> {
         Ok(refine)
     }
 
-    /// Shapes that all make sense, selections with their points.
+    /// Shapes that are checked, with the points of selections.
     fn shapes(&self, tables: Vec<Spanned<RegionShape>>) -> Result<Shapes> {
         let mut shapes = Shapes::default();
         for shape in tables {
@@ -286,7 +286,7 @@ impl SessionText<'_> {
         })
     }
 
-    /// The joints, each after the one that it hangs on.
+    /// Joints, each after the one that it hangs on.
     fn joints(&self, tables: Vec<Spanned<Joint>>) -> Result<Vec<Joint>> {
         let (spans, joints): (Vec<_>, Vec<_>) =
             tables.into_iter().map(|joint| (joint.span(), joint.into_inner())).unzip();

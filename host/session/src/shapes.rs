@@ -24,7 +24,7 @@ pub enum RegionShape {
         /// The sphere's centre.
         #[serde(deserialize_with = "crate::vector::three")]
         center: DVec3,
-        /// In the model's unit; positive.
+        /// Radius in the model's unit; positive.
         radius: f64,
     },
     /// An axis-aligned box.
@@ -109,8 +109,8 @@ impl Shapes {
         self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The shapes as a session file has them; of selections that are too long for that, how many points they
-    /// have, and where.
+    /// Tables of the shapes as a session file has them; for selections that are too long for that, the number
+    /// of their points and their place.
     pub fn tables(&self) -> Vec<toml::Table> {
         let summary = |picked: &PickedPoints| {
             let bounds = Bounds::from_points(picked.inside().iter().copied());

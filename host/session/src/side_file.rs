@@ -11,7 +11,7 @@ use simod_model::{Error, Result, input, output};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
-/// Points beyond which something goes to a file of its own.
+/// Number of points beyond which strokes or a selection go to a file of their own.
 pub const MOST_IN_SESSION: usize = 1000;
 
 /// Longest file: 40 million points.
@@ -45,9 +45,9 @@ impl SideFileKind {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Reference {
-    /// Relative to the session.
+    /// Path of the file, relative to the session.
     pub file: PathBuf,
-    /// Hash of its bytes.
+    /// Hash of the file's bytes.
     pub fingerprint: String,
 }
 

@@ -11,7 +11,7 @@ use simod_model::{Model, Result};
 use crate::session_file::read_text;
 use crate::session_text::SessionText;
 
-/// Behind the name of the model's file, that of its sidecar.
+/// Suffix of the model's file name that gives the name of its sidecar.
 const SUFFIX: &str = ".follow.toml";
 
 #[derive(Deserialize)]

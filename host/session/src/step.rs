@@ -43,7 +43,7 @@ pub struct Step {
 pub enum Action {
     /// The samples are moved.
     Deform(Deformation),
-    /// There are more samples.
+    /// Samples are added.
     Refine(Refine),
 }
 
@@ -151,8 +151,8 @@ impl Notes {
     }
 }
 
-/// The places of a step's parameters in its file, as `session.toml, line 9`. They are no part of what the
-/// step is: all are equal.
+/// Places of a step's parameters in its file, as `session.toml, line 9`. They are no part of what the step
+/// is: all compare as equal.
 #[derive(Debug, Clone, Default)]
 pub struct ParamPlaces(Arc<BTreeMap<String, String>>);
 
@@ -163,12 +163,12 @@ impl PartialEq for ParamPlaces {
 }
 
 impl ParamPlaces {
-    /// Parameters by their ids, with where each stands.
+    /// Places of parameters by their ids.
     pub(crate) fn new(places: impl IntoIterator<Item = (String, String)>) -> Self {
         Self(Arc::new(places.into_iter().collect()))
     }
 
-    /// The places of parameters with those of further names: pairs of the former name and the one now.
+    /// Places of parameters under further names, too: pairs of the former name and the one now.
     pub(crate) fn renamed(&self, aliases: &[(String, String)]) -> Self {
         let mut places = (*self.0).clone();
         for (former, now) in aliases {
@@ -203,7 +203,7 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// The origin of a plugin that says where it comes from, unlike those that come with the program.
+    /// Origin of a plugin that came from elsewhere; none for those that come with the program.
     pub fn from_plugin(plugin: &Plugin) -> Option<Self> {
         let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
         (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })
@@ -224,7 +224,7 @@ impl std::fmt::Display for Origin {
 }
 
 impl Deformation {
-    /// One by a plugin, which is given nothing.
+    /// Deformation by a plugin, without parameters, regions or anything else.
     pub fn by_plugin(plugin: &str) -> Self {
         Self {
             deform: plugin.to_owned(),
@@ -259,7 +259,7 @@ impl Deformation {
 const LONGEST_NAME: usize = 200;
 
 impl Step {
-    /// One that is done, in no file, and that nobody has given a title.
+    /// Step that is switched on, in no file, and without a title.
     pub fn new(action: Action) -> Self {
         Self { action, enabled: true, title: None, group: None, place: String::new() }
     }
@@ -295,7 +295,7 @@ impl Step {
         matches!(self.action, Action::Refine(_))
     }
 
-    /// The deformation, where it is one.
+    /// Deformation of the step, if it is one.
     pub fn deformation(&self) -> Option<&Deformation> {
         match &self.action {
             Action::Deform(deformation) => Some(deformation),
@@ -428,18 +428,18 @@ pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
 /// A defect of a step or of a part of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Defect {
-    /// The part that it is about.
+    /// Part of the step that the defect is about.
     pub part: RegionPart,
     /// The defect in words, as the beginning of a sentence.
     pub what: Cow<'static, str>,
-    /// The advice on it.
+    /// Advice on the defect.
     pub hint: &'static str,
 }
 
 /// The part of a region or a handle that makes no sense.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RegionPart {
-    /// No part by itself.
+    /// The region or handle as a whole.
     Whole,
     /// The distance beyond its border at which a region has faded out.
     Falloff,
@@ -465,12 +465,12 @@ impl Defect {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Joint {
-    /// Unique among the step's joints.
+    /// Id of the joint, unique among the step's joints.
     pub id: String,
     /// Position of the joint at rest, model coordinates.
     #[serde(deserialize_with = "crate::vector::three")]
     pub at: DVec3,
-    /// The id of the joint that it hangs on, if any.
+    /// Id of the joint that this one hangs on, if any.
     pub parent: Option<String>,
 }
 

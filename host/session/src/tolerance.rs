@@ -25,7 +25,7 @@ use simod_plugin_api::Time;
 /// of these, are off the surface, and no others could do their work.
 const FEWEST: u64 = 1000;
 
-/// A search that its first samples hold up begins anew with so many times as many of them.
+/// Factor by which there are more first samples when a search that its first samples hold up begins anew.
 const ANEW: u64 = 4;
 
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
@@ -41,7 +41,7 @@ const AROUND: f64 = 4.0;
 /// Part of the tolerance that a refinement asks for.
 const ASKED: f64 = 0.3;
 
-/// No more samples than so many times those at the beginning, or than [`FEW`] ...
+/// Most samples, as a multiple of those at the beginning, or [`FEW`] ...
 const MOST: u64 = 64;
 /// ... if that is more.
 const FEW: u64 = 1 << 20;
@@ -53,8 +53,9 @@ const FALLS: f64 = 0.9;
 /// while.
 const PATIENCE: usize = 7;
 
-/// From samples so many times as near to each other on, what is expected there has to have fallen by as much
-/// at least: where a deformation is smooth it falls with the third power, and at a step not at all.
+/// Factor by which samples are nearer to each other when the expected error there has to have fallen by as
+/// much at least: where a deformation is smooth the error falls with the third power, and at a step not at
+/// all.
 const NEARER: f64 = 2.0;
 
 /// The factor by which rounding is more at single vertices than in the mean.
@@ -70,7 +71,7 @@ const LEAST_LOCAL: f64 = 2e-6;
 /// Largest distance that vertices may have from where the exact map takes them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Tolerance {
-    /// As a fraction of the model's diagonal at rest.
+    /// A fraction of the model's diagonal at rest.
     Fraction(f64),
     /// A length in the model's unit.
     Length(f64),
@@ -113,7 +114,7 @@ pub struct Certificate {
     pub added: u64,
     /// The number of rounds.
     pub rounds: u64,
-    /// The number of first samples that the model was sampled anew with, if those before held the search up.
+    /// Number of first samples with which the model was sampled anew, if those before held the search up.
     pub sampled_anew: Option<u64>,
     /// The true error of some vertices, if all plugins know their map.
     pub truth: Option<TransferError>,
@@ -213,7 +214,7 @@ impl Sought<'_> {
         }
     }
 
-    /// The search with these first samples.
+    /// Searches with these first samples.
     fn search(&self, sampled: SampledModel) -> Result<Ended> {
         let Self { steps, progress, .. } = *self;
         let mut search = ToleranceSearch::new(&sampled, self);
@@ -255,7 +256,7 @@ struct ToleranceSearch<'a> {
     first: u64,
     most: u64,
     rounds: u64,
-    /// The least of the largest errors that were expected, and for how many rounds it has been that.
+    /// Least of the largest errors that were expected, and (`waited`) the number of rounds since then.
     least: f64,
     waited: usize,
     beginning: Option<UnrefinedState>,
@@ -450,7 +451,7 @@ fn around_worst(of: &SampledModel, beyond: &ErrorExcess) -> Refine {
 /// Memory: P_S as it was.
 struct UnrefinedState {
     sampled: Arc<SampledModel>,
-    /// Around each sample; local units.
+    /// Expected error around each sample; local units.
     expected: Vec<f32>,
 }
 
@@ -490,7 +491,7 @@ impl UnrefinedState {
     }
 }
 
-/// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
+/// True error of some vertices, and the place where it is more than allowed, if all plugins know their map.
 fn truth(
     deformed: &DeformedSamples,
     model: &dyn Model,

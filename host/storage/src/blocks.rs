@@ -65,7 +65,7 @@ impl BlockCache {
         self.locked().insert(of, number, BlockState::There { bytes, was_read: false });
     }
 
-    /// A block, once it is there.
+    /// Returns a block, once it is there.
     ///
     /// # Errors
     /// The block cannot be brought, or the object has another version by now.
@@ -102,7 +102,7 @@ impl BlockCache {
         }
     }
 
-    /// Has a block brought that is not here.
+    /// Begins to fetch a block that is not there.
     fn begin(&'static self, held: &mut HeldBlocks, of: &Arc<ObjectVersion>, number: u64) -> Result<()> {
         if held.find(of, number).is_some() {
             return Ok(());
@@ -145,7 +145,7 @@ impl HeldBlocks {
         }
     }
 
-    /// Adds a block, in the place of those that were used least.
+    /// Adds a block, in the place of those that were not used for the longest time.
     fn insert(&mut self, of: &Arc<ObjectVersion>, number: u64, state: BlockState) {
         while self.blocks.len() >= self.most {
             // A block on its way is waited for, and stays.

@@ -15,7 +15,7 @@ use simod_model::{Error, Result, object};
 
 use crate::failure::RequestFailure;
 
-/// No request is repeated that began so long ago.
+/// Longest time since a request began in which it is repeated.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Longest time of a request, unless the environment sets another: of one that fetches a block, and of one
@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const READING: &str = "60 seconds";
 const WRITING: &str = "300 seconds";
 
-/// An object by its store, and the name in it.
+/// Object by its store, and its name there.
 #[derive(Clone)]
 pub(crate) struct ObjectLocation {
     /// The object's URL, without what may be secret.

@@ -19,7 +19,7 @@ pub(crate) struct StoredObject {
 }
 
 impl StoredObject {
-    /// Opens it; `None` where there is none.
+    /// Opens the object; `None` where there is none.
     ///
     /// # Errors
     /// The store cannot be reached, or refuses.

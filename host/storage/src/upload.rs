@@ -14,7 +14,7 @@ use crate::failure::{RequestFailure, TRIES, is_cut};
 use crate::place::ObjectLocation;
 use crate::runtime::{runtime, wait};
 
-/// Most bytes on their way, and most parts; but one part is, however long.
+/// Most bytes on their way, and most parts; but one part may be, however long.
 const MOST_BYTES: usize = 64 << 20;
 const MOST_PARTS: usize = 8;
 

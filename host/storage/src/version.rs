@@ -13,7 +13,7 @@ pub(crate) const BLOCK: u64 = 4 << 20;
 /// that itself.
 const TRIES: usize = 4;
 
-/// A version of an object, and how it is asked for.
+/// Version of an object, and the conditions of requests for it.
 #[derive(Debug)]
 pub(crate) struct ObjectVersion {
     place: ObjectLocation,

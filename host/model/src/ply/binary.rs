@@ -12,7 +12,7 @@ use crate::frame::is_finite;
 use crate::unfit::{Unfit, same_normal};
 use crate::{Edited, Scalar, VertexChunk};
 
-/// A chunk of a binary file but for its bytes, as they were read.
+/// Chunk of a binary file without its bytes, as it was read.
 #[derive(Clone, Copy)]
 pub(super) struct Rest<'a> {
     pub(super) positions: &'a [DVec3],
@@ -24,7 +24,7 @@ pub(super) struct Rest<'a> {
 trait Codec: Copy {
     fn get(self, raw: &[u8], at: usize) -> f64;
     fn put(self, raw: &mut [u8], at: usize, value: f64);
-    /// Puts it there, or what is there already: without a branch.
+    /// Puts the value at a byte, or else the number that is there already: without a branch.
     fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64);
 }
 
@@ -78,7 +78,7 @@ impl<const BIG: bool> Codec for F64<BIG> {
     }
 }
 
-/// Either of them, known at run time alone: for vertices that mix float and double.
+/// Float or double, known at run time alone: for vertices that mix both.
 #[derive(Clone, Copy)]
 struct Any<const BIG: bool>(Scalar);
 
@@ -289,7 +289,8 @@ fn patch_normals<C: Codec>(
     }
 }
 
-/// Turns what follows in `raw`, the bytes of whole vertices, of which these had finite positions.
+/// Turns the attributes that follow in `raw`, the bytes of whole vertices, of which these had finite
+/// positions.
 pub(super) fn turn(
     layout: &PlyLayout,
     following: &Following,

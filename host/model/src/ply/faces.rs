@@ -40,7 +40,7 @@ struct FaceElement {
     corners: Option<IndexList>,
     /// Whether the list is one of triangle strips.
     strips: bool,
-    /// For records that are read all at once.
+    /// Plan for records that are read all at once, if they are of such a kind.
     compact: Option<Compact>,
 }
 
@@ -67,7 +67,7 @@ struct Compact {
     before: usize,
     corners: usize,
     bare: usize,
-    /// The list's length among the 32 bits from its place on: how far to shift them, and which then to keep.
+    /// Right shift and (`mask`) mask by which the list's length is taken from the 32 bits at its place.
     shift: u32,
     mask: u32,
     /// The bit of a signed corner that makes it negative.
@@ -75,7 +75,7 @@ struct Compact {
 }
 
 impl Compact {
-    /// Most corners of a polygon that is read so.
+    /// Most corners of a polygon that is read so, in one go.
     const CORNERS: usize = 16;
 
     fn new(plan: &RecordPlan, item: Type, encoding: Encoding) -> Option<Self> {
@@ -269,7 +269,7 @@ pub(super) struct SomeFaces<'a> {
 }
 
 impl<'a> SomeFaces<'a> {
-    /// All from a mark on, with marks.
+    /// Reader of all faces from a mark on, with marks.
     pub(super) fn from(model: &'a PlyModel, mark: u64) -> Result<Self> {
         let end = with_triangles(&model.header).first().and_then(|element| model.starts.get(element + 1));
         let end = end.copied().unwrap_or(mark);
@@ -394,7 +394,7 @@ impl<'a> RecordCursor<'a> {
         Ok(true)
     }
 
-    /// Reads those records that lie in the window, as far as they are short.
+    /// Reads the records that lie in the window, as far as they are short.
     fn read_compact(&mut self, plan: &RecordPlan, compact: &Compact, chunk: &mut FaceChunk) {
         loop {
             let end = plan.count.min(self.next_mark);
@@ -413,7 +413,7 @@ impl<'a> RecordCursor<'a> {
         }
     }
 
-    /// Notes the place where it stands, if a block begins there.
+    /// Notes a mark at the current record, if a block begins there.
     fn note_mark(&mut self, chunk: &mut FaceChunk) {
         if self.record >= self.next_mark {
             self.next_mark = self.record + FACES_OF_A_BLOCK;
@@ -421,7 +421,7 @@ impl<'a> RecordCursor<'a> {
         }
     }
 
-    /// The place where it stands, behind so many triangles.
+    /// Mark at the current record, behind so many triangles.
     fn mark(&self, triangle: usize) -> FaceMark {
         FaceMark { triangle, offset: self.window.position() }
     }
@@ -516,7 +516,7 @@ struct BlockWindow<'a> {
     filled: usize,
     /// Byte of the file at which the filled part ends.
     end: u64,
-    /// Nothing is read beyond, if only a part of the file shall be.
+    /// Byte of the file beyond which nothing is read, if only a part of the file shall be read.
     limit: Option<u64>,
 }
 

@@ -19,11 +19,11 @@ pub struct PlyModel {
     pub(super) following: Following,
     /// Byte of the file at which the vertices begin.
     pub(super) vertices_start: u64,
-    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text
-    /// file.
+    /// Bytes at which the elements of a binary file begin, and after them the end of the last one. Empty for
+    /// a text file.
     pub(super) starts: Vec<u64>,
     pub(super) offsets: Offsets,
-    /// Makes the header anew without those of the normals.
+    /// Function that makes the header anew without the properties of the normals.
     pub(super) without_normals: fn(&[u8]) -> Vec<u8>,
     /// Note for the user on the file that is written.
     pub(crate) note: Option<&'static str>,

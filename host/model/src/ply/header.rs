@@ -22,7 +22,7 @@ pub(crate) enum Encoding {
 }
 
 impl Encoding {
-    /// For people, as in "PLY 1.0, ascii".
+    /// Name of the encoding for people, as in "PLY 1.0, ascii".
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ascii => "ascii",
@@ -65,7 +65,7 @@ pub(crate) struct Property {
 }
 
 impl Property {
-    /// For people, as "uchar red" or "list uchar int vertex_indices".
+    /// The property in words for people, as "uchar red" or "list uchar int vertex_indices".
     pub(super) fn describe(&self) -> String {
         match self.shape {
             PropertyShape::Scalar(t) => format!("{} {}", t.name(), self.name),
@@ -105,7 +105,7 @@ impl PlyElement {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
-    /// In the file's order, which is that of the data.
+    /// Elements in the file's order, which is that of the data.
     pub(crate) elements: Vec<PlyElement>,
     /// The length of the header, behind which the data begins.
     pub(crate) len: u64,

@@ -17,7 +17,7 @@ pub(super) struct Component {
 /// Treatment of a property of a vertex record while the record is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PropertySlot {
-    /// Nothing: so many bytes of something else.
+    /// Another property, of so many bytes, which is passed over.
     Other { size: usize },
     /// The component of this index, of so many bytes.
     Component { index: usize, size: usize },
@@ -36,7 +36,7 @@ pub(super) struct PlyLayout {
     pub(super) file_order: Vec<usize>,
     /// The properties in the file's order.
     pub(super) slots: Vec<PropertySlot>,
-    /// Bytes of a record, if that is the same for all of them: in binary files without lists.
+    /// Bytes of a record, if all records have the same number: in binary files without lists.
     pub(super) stride: Option<usize>,
     /// The properties that are neither position nor normal, for people.
     pub(super) other: Vec<String>,

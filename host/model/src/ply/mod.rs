@@ -208,8 +208,8 @@ impl PlyModel {
         Ok(besides)
     }
 
-    /// In a text file: all that follows, if nothing but vertices does, and otherwise as if all vertices were
-    /// like the first ones.
+    /// Bytes of the vertices in a text file: all that follow, if nothing but vertices does, and otherwise as
+    /// if all vertices were like the first ones.
     fn estimate_vertex_bytes(&self) -> u64 {
         const FIRST: u64 = 1000;
         if self.info.vertices == 0 {

@@ -52,7 +52,7 @@ impl<'a> PlyReader<'a> {
         Ok(reader)
     }
 
-    /// Vertices of a whole chunk, where they all have a length of `stride`.
+    /// Number of vertices of a whole chunk, where all have a length of `stride`.
     pub(super) fn fixed_chunk(stride: usize) -> u64 {
         CHUNK_VERTICES.min((CHUNK_BYTES / stride).max(1)) as u64
     }
@@ -125,8 +125,8 @@ impl<'a> PlyReader<'a> {
         Ok(())
     }
 
-    /// Reads the bytes of the next vertices into `chunk`, and where their numbers lie; returns how many
-    /// vertices these are, none at the end. What it holds else means nothing until it is
+    /// Reads the bytes of the next vertices into `chunk`, and the places of their numbers; returns the number
+    /// of these vertices, 0 at the end. The rest of the chunk is meaningless until it is
     /// [decoded](PlyModel::decode).
     pub(super) fn read_bytes(&mut self, chunk: &mut VertexChunk) -> Result<usize> {
         chunk.first = self.range.start;

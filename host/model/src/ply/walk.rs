@@ -24,19 +24,19 @@ const BLOCK: usize = 1 << 18;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum WalkStep {
-    /// So many units (bytes or words) of no interest.
+    /// Number of units (bytes or words) that are passed over.
     Skip(u64),
     /// The length of the list that the property of this index is, whose items take so many units each.
     Count { property: usize, kind: Type, item: u64 },
 }
 
-/// The steps of one record, and how often they are gone through.
+/// Steps of one record, and the number of records.
 #[derive(Debug)]
 pub(super) struct RecordPlan {
     name: String,
     pub(super) count: u64,
     pub(super) steps: Vec<WalkStep>,
-    /// Without lists all records are one skip: how many units a record is of.
+    /// Number of units of a record, where no property is a list: all records are one skip.
     fixed: Option<u64>,
 }
 
@@ -93,7 +93,7 @@ pub(super) struct Walker {
     skip: u64,
     /// The first bytes of a list's length that a block ended within; in text, of any word but one passed by.
     partial: Vec<u8>,
-    /// In text: a block ended within a word.
+    /// Whether a block of text ended within a word.
     in_word: bool,
 }
 
@@ -129,7 +129,7 @@ impl Walker {
         }
     }
 
-    /// To be called at the end of the file: an error unless all elements are complete.
+    /// Ends the walk at the end of the file: an error unless all elements are complete.
     pub(super) fn finish(&mut self) -> Result<(), String> {
         if self.in_word {
             // The end of the file ends a word as well.
@@ -341,8 +341,8 @@ pub(super) fn extents(
     Ok(starts)
 }
 
-/// The end of an element with lists, if the file is exactly as long as if all its records had the size of the
-/// first one, and `after` it no lists follow.
+/// End of an element with lists, if the file is exactly as long as if all records of the element had the size
+/// of the first one, and no lists follow in the elements `after`.
 fn uniform_lists(
     source: &SourceFile,
     encoding: Encoding,

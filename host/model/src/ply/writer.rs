@@ -30,7 +30,7 @@ pub fn write_points(
 /// Contents of a file of vertices beside their positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Besides<'a> {
-    /// One for each position, or none at all.
+    /// Normals, one for each position, or none at all.
     pub normals: &'a [Vec3],
     /// Red, green and blue of each, or none at all.
     pub colors: &'a [[u8; 3]],

@@ -159,7 +159,8 @@ impl CompressedPly {
         24 * self.groups
     }
 
-    /// From one position to the next along each axis, in the chunk where that is most.
+    /// Step from one position to the next along each axis, in the chunk of the file where the steps are
+    /// largest.
     fn step(&self) -> Result<DVec3> {
         let (mut step, mut bytes, mut at) = (DVec3::ZERO, Vec::new(), self.starts[0]);
         while at < self.starts[1] {
@@ -189,7 +190,7 @@ impl CompressedPly {
         })
     }
 
-    /// All that a splat has besides its position, in the order of the attributes.
+    /// Appends all numbers of a splat besides its position, in the order of the attributes.
     fn numbers(&self, bounds: &[u8], packed: &[u8], to: &mut Vec<f64>) {
         to.clear();
         let [_, rotation, scale, colour] = words(packed);
@@ -223,7 +224,7 @@ impl ChunkRange {
     /// The box that holds nothing.
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
-    /// A group of those that a chunk has.
+    /// Range of a group in a chunk's record.
     fn from_record(record: &[u8], group: usize) -> Self {
         let at = |i: usize| {
             let mut four = [0; 4];
@@ -259,7 +260,7 @@ impl ChunkRange {
         self.0[0] * (1.0 - t) + self.0[1] * t
     }
 
-    /// At which parts of the way something lies.
+    /// Parts of the way from the first corner to the second at which a position lies, along each axis.
     fn parts(&self, p: DVec3) -> [f64; 3] {
         let (way, extent) = (p - self.0[0], self.extent());
         [0, 1, 2].map(|axis| if extent[axis] > 0.0 { way[axis] / extent[axis] } else { 0.0 })

@@ -33,7 +33,7 @@ pub(super) fn bits(part: f64, of: u32) -> u32 {
     ((part * f64::from(most) + 0.5).floor() as u32).min(most)
 }
 
-/// Bits of the three numbers of a position or of scales, and how far to the left they are.
+/// Number of bits of each of the three numbers of a position or of scales, and their shift to the left.
 const THREE: [[u32; 2]; 3] = [[11, 21], [10, 11], [11, 0]];
 
 /// Three parts of the whole.

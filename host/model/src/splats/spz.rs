@@ -34,7 +34,7 @@ const HEADER: u64 = 16;
 /// Bytes that are unpacked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No file is unpacked to more than so many times its size by what its format can do.
+/// Largest ratio of a file's unpacked size to its size, as the format of the compression allows it.
 const MOST_PACKED: u64 = 1100;
 
 /// Advice about a file that is malformed.
@@ -161,7 +161,7 @@ impl Spz {
         }))
     }
 
-    /// All that a splat has besides, in the order of the attributes.
+    /// Appends all numbers of a splat besides its position, in the order of the attributes.
     fn numbers(&self, splat: &[u8], to: &mut Vec<f64>) {
         let at = |array| &splat[self.place(array)];
         to.clear();

@@ -284,7 +284,7 @@ fn facet_normal(raw: &[u8], part: Range<usize>, ends: LineEnds) -> Option<([[usi
     Some((words, DVec3::new(x?, y?, z?)))
 }
 
-/// As many digits as the normal has; six if it was along an axis, and had none.
+/// Digits of a new normal: as many as the old one has; six if the old one was along an axis, and had none.
 fn normal_digits(words: &[&[u8]; 3]) -> Digits {
     const FEW: usize = 4;
     const ENOUGH: usize = 6;

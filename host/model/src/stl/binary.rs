@@ -22,7 +22,7 @@ const CHUNK_FACETS: u64 = (CHUNK_VERTICES / 3) as u64;
 /// Bytes that are copied at once.
 const COPIED: usize = 4 << 20;
 
-/// The number of facets that the file says it has, if it is long enough to say so.
+/// Number of facets that the file declares, if the file is long enough to declare one.
 fn count(source: &SourceFile) -> Result<Option<u64>> {
     let mut count = [0; 4];
     let read = source.read_at(&mut count, START - 4)?;

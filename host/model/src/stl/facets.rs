@@ -12,8 +12,8 @@ pub(super) const START: u64 = 84;
 /// Bytes of a facet.
 pub(super) const FACET: u64 = 50;
 
-/// The normal of a facet with these corners, on the side of the corners where the file's normal is on that of
-/// the corners at rest. `None` where the file's one is to be kept: it is zero or no number, or the corners
+/// Normal of a facet with these corners, on the side of the corners where the file's normal is on that of the
+/// corners at rest. `None` where the file's normal is to be kept: it is zero or not finite, or the corners
 /// span no plane.
 pub(super) fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<DVec3> {
     let of = |[a, b, c]: [DVec3; 3]| {

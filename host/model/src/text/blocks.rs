@@ -10,7 +10,7 @@ use super::lines::wrong_line;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Error, Result};
 
-/// Bytes without a vertex from which on they are a gap.
+/// Number of bytes without a vertex from which on they are a gap.
 pub(crate) const GAP: u64 = 1 << 18;
 
 /// A block ends with the vertex that reaches this many bytes.
@@ -25,7 +25,8 @@ const CHUNK_BYTES: u64 = 4 << 20;
 /// of the file on average.
 #[derive(Debug, Default)]
 pub(crate) struct TextBlocks {
-    /// The first vertex of each block and where it begins, ascending; at last, the end of the last one.
+    /// First vertex of each block and the byte at which the block begins, ascending; at last, the end of the
+    /// last one.
     entries: Vec<(u64, u64)>,
 }
 
@@ -57,7 +58,7 @@ impl TextBlocks {
         self.entries[..after].last().copied()
     }
 
-    /// Some blocks, spread over the file.
+    /// Ranges of the vertices and of the bytes of some blocks, spread over the file.
     pub(crate) fn spread(&self, most: usize) -> impl Iterator<Item = (Range<u64>, Range<u64>)> + '_ {
         let step = self.entries.len().div_ceil(most).max(1);
         let of = |e: &[(u64, u64)]| (e[0].0..e[1].0, e[0].1..e[1].1);
@@ -120,7 +121,7 @@ impl TextBlocksBuilder {
         (self.vertices, self.end) = (self.vertices + 1, end);
     }
 
-    /// Ends the block, unless there is nothing in it.
+    /// Ends the current block, unless it is empty.
     fn close(&mut self) {
         if self.entries.last().is_some_and(|e| e.0 < self.vertices) {
             self.entries.push((self.vertices, self.end));
@@ -165,7 +166,8 @@ pub(crate) struct BlockReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// A block that was read, what of it was taken, and the vertex that comes next in it.
+    /// Bytes of the block that was read ahead, the number of those that were taken, and the vertex that comes
+    /// next in it.
     ahead: Vec<u8>,
     ahead_at: usize,
     ahead_next: u64,
@@ -274,7 +276,7 @@ pub(crate) struct BlockPieces<'a> {
 
 /// A piece of the file: vertices, or bytes between them.
 pub(crate) enum BlockPiece {
-    /// So many vertices, from this one on.
+    /// Number of vertices, and the first of them.
     Vertices(u64, u64),
     /// Bytes to be copied.
     Bytes,
@@ -283,7 +285,7 @@ pub(crate) enum BlockPiece {
 }
 
 impl<'a> BlockPieces<'a> {
-    /// All of a file, in chunks of at most so many vertices.
+    /// Pieces of the whole file, in chunks of at most so many vertices.
     pub(crate) fn new(source: &'a SourceFile, blocks: &'a TextBlocks, chunk: usize) -> Self {
         let mut reader = BlockReader::new(source, blocks, 0..u64::MAX);
         reader.set_chunk(chunk);
@@ -314,7 +316,7 @@ impl<'a> BlockPieces<'a> {
     }
 }
 
-/// An error where a file is not what it was when it was opened.
+/// Error of a file that has changed since it was opened.
 pub(crate) fn changed(source: &SourceFile) -> Error {
     Error::changed_while_read(source.path())
 }

@@ -25,7 +25,7 @@ pub(crate) struct Survey {
     mantissa: usize,
     /// The least and the largest number for each coordinate.
     ranges: [(f64, f64); 3],
-    /// The largest one without its sign.
+    /// The largest magnitude of the numbers.
     largest: f64,
 }
 
@@ -48,7 +48,7 @@ impl Survey {
         }
     }
 
-    /// The largest number without its sign.
+    /// Largest magnitude of the numbers.
     pub(crate) fn largest(&self) -> f64 {
         self.largest
     }
@@ -77,7 +77,7 @@ fn decimals_of(word: &[u8]) -> (usize, Option<u8>) {
 }
 
 impl Digits {
-    /// More than these tell nothing more of a double.
+    /// Most digits: further ones add nothing to a double.
     const MOST: usize = 17;
 
     /// The most that some words have.
@@ -101,7 +101,7 @@ impl Digits {
     }
 }
 
-/// As C writes it: with a sign and two digits at least in the exponent.
+/// Writes a number as C does: with a sign and two digits at least in the exponent.
 fn write_scientific(to: &mut Vec<u8>, value: f64, decimals: usize, letter: u8) {
     let start = to.len();
     // Writing to a vector cannot fail.

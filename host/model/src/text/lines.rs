@@ -53,12 +53,12 @@ fn check_end(source: &SourceFile) -> Result<()> {
 /// Way in which the lines of a format end.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum LineEnds {
-    /// Each line feed, and each carriage return.
+    /// A line ends with each line feed, and with each carriage return.
     Breaks,
-    /// Ends of lines before which no backslash stands, but of a comment, which may end in one as the path of
-    /// a folder does.
+    /// A line ends at a break before which no backslash stands; but a comment, which may end in a backslash
+    /// as the path of a folder does, ends at each break.
     Continued,
-    /// The next word that is one with which statements begin: breaks are blanks as others.
+    /// A statement ends before the next word with which a statement begins: breaks are blanks as others.
     Words(fn(&[u8]) -> bool),
 }
 
@@ -154,7 +154,7 @@ impl<'a> Lines<'a> {
         self.offset + self.at as u64
     }
 
-    /// The next line, with what ends it, and where in the file it begins; `None` at the end.
+    /// Returns the next line with its end, and the byte of the file at which it begins; `None` at the end.
     #[inline]
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
         loop {

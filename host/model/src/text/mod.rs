@@ -99,12 +99,13 @@ pub(crate) fn no_normal(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
     (what, if hint == BEYOND { BEYOND_NORMAL } else { hint })
 }
 
-/// A number of a type, rounded to it if that is single precision.
+/// Number of a type, rounded to that type if it is single precision.
 pub(crate) fn number(kind: Type, word: &[u8]) -> Option<f64> {
     parse(if kind == Type::F32 { Scalar::F32 } else { Scalar::F64 }, word)
 }
 
-/// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.
+/// Whether a text is a number that is not finite as Microsoft's C library prints it: vertices with such
+/// numbers are left alone anyway.
 fn is_microsoft_nan(text: &str) -> bool {
     let text = text.strip_prefix(['-', '+']).unwrap_or(text).to_ascii_lowercase();
     text.starts_with("1.#") || text.starts_with("nan(")

@@ -30,7 +30,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Extensions that names of such files have.
     const EXTENSIONS: &'static [&'static str];
 
-    /// The ends of its lines.
+    /// Way in which the lines of the format end.
     #[inline(always)]
     fn ends(&self) -> LineEnds {
         LineEnds::Breaks
@@ -51,7 +51,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         Vec::new()
     }
 
-    /// Is told which attributes turn with the surface: their numbers come behind the components.
+    /// Sets the attributes that turn with the surface: their numbers come behind the components.
     fn follow(&mut self, _attributes: &[usize]) {}
 
     /// Numbers of a vertex whose places are noted: its components, and those that turn.
@@ -62,7 +62,8 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Whether a line is a vertex.
     fn is_vertex(&self, line: &[u8]) -> bool;
 
-    /// Notes where a vertex' numbers stand in its line. Those that are missing are left as they are.
+    /// Notes the places of a vertex' numbers in its line. The places of numbers that are missing are left as
+    /// they are.
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]);
 
     /// Whether a line has a cell for a component, which may be empty.
@@ -144,7 +145,7 @@ pub(crate) fn info(source: &SourceFile, format: String) -> ModelInfo {
 }
 
 impl<G: Grammar> TextModel<G> {
-    /// A file whose vertices lie in these blocks.
+    /// Model of a file whose vertices lie in these blocks.
     pub(crate) fn new(source: SourceFile, grammar: G, blocks: TextBlocks, info: ModelInfo) -> Result<Self> {
         let info = ModelInfo {
             vertices: blocks.vertices(),
@@ -158,7 +159,7 @@ impl<G: Grammar> TextModel<G> {
         Ok(model)
     }
 
-    /// Has the places and the digits of all numbers noted that are written anew.
+    /// Notes the places and the digits of all numbers that are written anew.
     fn note_what_follows(&mut self) -> Result<()> {
         self.grammar.follow(self.following.places());
         self.digits = self.survey()?;
@@ -279,7 +280,7 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// An error about a vertex, which names its line.
+    /// Error about a vertex, with the number of its line.
     fn wrong_vertex(&self, vertex: u64, what: String, hint: &str) -> Error {
         match self.place_of(vertex) {
             Ok(Some(offset)) => wrong_line(&self.source, offset, what, hint),
@@ -288,8 +289,8 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// The bytes of the block that holds a vertex, where they begin, and how many vertices come before it
-    /// there.
+    /// Bytes of the block that holds a vertex, the byte of the file at which they begin, and the number of
+    /// vertices before this one in the block.
     fn block_of(&self, vertex: u64) -> Result<Option<(Vec<u8>, u64, u64)>> {
         let Some((of, bytes)) = self.blocks.spread(usize::MAX).find(|block| block.0.contains(&vertex)) else {
             return Ok(None);
@@ -390,7 +391,8 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// Makes the lists what a vertex' numbers that turn were, and what they become; empty where they stay.
+    /// Fills the lists with the old and the new numbers of a vertex that turn; they are empty where the
+    /// numbers stay.
     fn turn(
         &self,
         vertex: usize,

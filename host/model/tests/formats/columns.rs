@@ -77,7 +77,7 @@ fn columns_are_named_by_who_knows() {
     assert_eq!(model.besides().unwrap(), unread);
 }
 
-/// As pandas writes what is no number.
+/// An empty cell, as pandas writes for a missing number, is no number.
 #[test]
 fn an_empty_cell_is_no_number() {
     let model = check_whole(b"x,y,z,a,b\n1,2,3,4,\"\"\n5,6,7,,9\n", ".csv");

@@ -117,9 +117,9 @@ struct MadeScan {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum At {
     End,
-    /// Before the points: its places are found by trying.
+    /// The XML is before the points: its places are found by trying.
     Start,
-    /// With something behind it.
+    /// The XML is before other content at the end.
     BeforeEnd,
 }
 
@@ -243,7 +243,7 @@ fn packets(scan: &MadeScan, share: &mut impl FnMut(usize) -> usize) -> Vec<u8> {
     section
 }
 
-/// All points of all scans, as the crate reads them, in bits; and what else it knows.
+/// Points of all scans, as the crate reads them, in bits; and the scans as the crate knows them.
 fn by_crate(bytes: &[u8]) -> (Vec<Vec<Vec<u64>>>, Vec<::e57::PointCloud>) {
     let clouds = E57Reader::new(Cursor::new(bytes)).unwrap().pointclouds();
     let bits = |(value, record): (&RecordValue, &Record)| match (value, &record.data_type) {
@@ -890,7 +890,7 @@ fn what_is_wrong_is_named() {
     assert!(error.hint().starts_with("register the scan once more"), "{}", error.hint());
 }
 
-/// Goes over a file without minding what comes of it, but for panics.
+/// Reads and rewrites a file, in which any error is fine, but no panic.
 fn survive(logical: &[u8]) {
     let _ = go_over(&paged(logical), ".e57");
 }

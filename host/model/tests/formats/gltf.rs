@@ -49,7 +49,7 @@ impl Glb {
         self.accessors.len() - 1
     }
 
-    /// Rows of floats as an accessor of their own.
+    /// Adds rows of floats as an accessor of their own.
     fn floats(&mut self, rows: &[Vec<f32>], rest: &str) -> usize {
         let view = self.view(&floats(rows), None);
         let shape = ["", "SCALAR", "VEC2", "VEC3", "VEC4"][rows[0].len()];
@@ -117,7 +117,7 @@ fn glb(json: &str, bin: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Members of an accessor that say how far these reach.
+/// Members of an accessor that give the least and the largest numbers of these points.
 fn limits(points: &[Vec3]) -> String {
     let corner = |of: fn(Vec3, Vec3) -> Vec3| {
         let corner = points.iter().copied().reduce(of).unwrap().to_array();

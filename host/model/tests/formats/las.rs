@@ -26,7 +26,7 @@ const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Packing {
     Plain,
-    /// So many points in each block.
+    /// Blocks of so many points each.
     Fixed(u32),
     /// Blocks of different sizes, around so many points.
     Variable(usize),
@@ -215,7 +215,7 @@ impl Spec {
         bytes
     }
 
-    /// By the other library.
+    /// Appends the records, compressed by the other library.
     fn pack(&self, records: &[u8], bytes: &mut Vec<u8>) {
         let mut cursor = Cursor::new(std::mem::take(bytes));
         cursor.set_position(cursor.get_ref().len() as u64);
@@ -445,7 +445,7 @@ fn what_is_read_is_what_is_there() {
     }
 }
 
-/// As programs did before WKT, where a system had no code.
+/// A coordinate system without a code has its name in GeoKeys, as programs wrote it before WKT.
 #[test]
 fn a_coordinate_system_without_a_code_has_its_name() {
     let mut built = Spec::new(2, 1).build(&hills(10));
@@ -859,7 +859,7 @@ fn spec() -> impl Strategy<Value = (Spec, Vec<[i32; 3]>)> {
     )
 }
 
-/// So many, unless the environment says how many.
+/// Number of cases, unless the environment sets another.
 fn cases(count: u32) -> ProptestConfig {
     let usual = ProptestConfig::default();
     if std::env::var_os("PROPTEST_CASES").is_some() {

@@ -27,7 +27,7 @@ use simod_model::{
     for_faces_at, for_faces_from,
 };
 
-/// Opens a file of these bytes, whose name ends so.
+/// Opens a file of these bytes, with a name of this ending.
 pub fn open(bytes: &[u8], extension: &str) -> Result<Box<dyn Model>> {
     let mut file = tempfile::Builder::new().suffix(extension).tempfile().unwrap();
     file.write_all(bytes).unwrap();
@@ -35,7 +35,7 @@ pub fn open(bytes: &[u8], extension: &str) -> Result<Box<dyn Model>> {
     simod_model::open(file.path())
 }
 
-/// All positions and normals of a range, in chunks of at most so many.
+/// Positions and normals of a range, read in chunks of at most so many vertices.
 pub fn read_by(model: &dyn Model, range: Range<u64>, chunk_size: usize) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
     let mut reader = model.vertices(range.clone())?;
     reader.set_chunk(chunk_size);
@@ -82,7 +82,7 @@ pub fn triangles(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
     Ok(triangles)
 }
 
-/// Reads the faces between marks, and checks that they are those that all of them have there.
+/// Reads the faces between marks, and checks that they are those that a reading of all has there.
 pub fn check_marks(model: &dyn Model) {
     let (mut all, mut marks) = (Vec::new(), Vec::new());
     let mut reader = model.faces().unwrap();
@@ -106,7 +106,8 @@ pub fn check_marks(model: &dyn Model) {
     check_reading_on(model, &all, &marks);
 }
 
-/// Reads the faces from marks on, if they can be read so: the same, with the same marks.
+/// Reads the faces from marks on, if the format supports that, and checks that they are the same, with the
+/// same marks.
 pub fn check_reading_on(model: &dyn Model, all: &[[u32; 3]], marks: &[(usize, u64)]) {
     let every = marks.len().div_ceil(50).max(1);
     let inner = marks.iter().enumerate().take(marks.len().saturating_sub(1));
@@ -192,7 +193,7 @@ pub fn message(result: Result<impl Sized>) -> String {
     }
 }
 
-/// So many cases, unless others are asked for.
+/// Number of cases, unless others are asked for.
 pub fn cases(count: u32) -> ProptestConfig {
     let usual = ProptestConfig::default();
     if std::env::var_os("PROPTEST_CASES").is_some() {

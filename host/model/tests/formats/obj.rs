@@ -10,11 +10,11 @@ enum Layout {
     /// `vn` before or behind each `v`.
     Before,
     Behind,
-    /// All of them behind all vertices.
+    /// All normals behind all vertices.
     Apart,
-    /// In objects, each with its vertices, normals and faces.
+    /// Several objects, each with its vertices, normals and faces.
     Objects,
-    /// As many as vertices, but corners use others.
+    /// As many normals as vertices, but corners use others than their vertex'.
     Shared,
 }
 use Layout::{Apart, Before, Behind, None, Objects, Shared};

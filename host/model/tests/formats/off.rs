@@ -38,7 +38,7 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
-/// As MeshLab writes them, letters and numbers.
+/// Colours come before normals, in letters and numbers, as MeshLab writes them.
 #[test]
 fn colours_may_come_before_normals() {
     let lines = "1 2 3 3 0 99 255 0 0 1\n4 2 3 255 9 8 255 0.6 0 0.8\n";
@@ -85,7 +85,7 @@ fn whole_numbers_of_colours_are_bytes() {
     assert_eq!(of("COFF", ["1 2 3 9 0 0", "1 2 3 0 1 256"]), [F64; 3]);
 }
 
-/// As Geomview allows it, and ModelNet has it.
+/// The first word is glued to the counts or left out, as Geomview allows it, and ModelNet has it.
 #[test]
 fn the_first_word_may_be_glued_or_left_out() {
     let rest = " 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";

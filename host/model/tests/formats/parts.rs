@@ -9,7 +9,7 @@ use simod_model::{
 
 use super::*;
 
-/// More than three pieces, and faces of more than one.
+/// Number of vertices: more than three pieces, and faces of more than one.
 const VERTICES: u32 = 210_000;
 
 /// A part of a file in memory.

@@ -36,7 +36,7 @@ struct Spec {
     /// Types of x, y, z, and of the normals' coordinates.
     position: [&'static str; 3],
     normal: Option<&'static str>,
-    /// x, y, z, nx, ny, nz, a colour and an id in this order (those of them that there are).
+    /// Order of x, y, z, nx, ny, nz, a colour and an id in a record (those of them that there are).
     order: Vec<usize>,
     colour: bool,
     list_in_vertex: bool,
@@ -70,7 +70,7 @@ impl Spec {
         }
     }
 
-    /// Everything that makes a file difficult.
+    /// Specification with everything that makes a file difficult.
     fn difficult(encoding: Encoding) -> Self {
         Self {
             position: ["float", "double", "float"],
@@ -761,7 +761,7 @@ impl Output for CountedPieces {
     }
 }
 
-/// Moves all vertices, and counts what it is told of.
+/// Edit that moves all vertices, and counts the calls.
 #[derive(Default)]
 struct Counting {
     begun: Mutex<Vec<u64>>,

@@ -131,7 +131,7 @@ fn map() -> DMat3 {
         * DMat3::from_diagonal(DVec3::new(1.3, 0.9, 1.0))
 }
 
-/// Everything under a linear map.
+/// Bytes of the model after a linear map of all.
 fn deformed(model: &dyn Model) -> Vec<u8> {
     rewrite(model, |edited: &mut Edited| {
         edited.positions.iter_mut().for_each(|p| *p = map() * *p);

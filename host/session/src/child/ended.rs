@@ -62,7 +62,8 @@ impl Ended {
         Ok(self.status)
     }
 
-    /// Ends it, if it does not end by itself at this moment; and how it ended, where that is known.
+    /// Ends the process, if it does not end by itself at this moment; returns its exit status, where that is
+    /// known.
     pub fn end(&mut self) -> Option<ExitStatus> {
         let since = Instant::now();
         while since.elapsed() < LAST_WORDS {
@@ -76,7 +77,7 @@ impl Ended {
         self.status
     }
 
-    /// Ends it at once, with all of its group.
+    /// Ends the process at once, with all of its group.
     pub fn kill(&mut self) {
         if self.status.is_some() {
             return;

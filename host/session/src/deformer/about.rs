@@ -29,9 +29,9 @@ pub struct Capabilities {
 /// A [`MigrationDesc`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Migration {
-    /// The version of its sessions now.
+    /// Version of the plugin's state in sessions now.
     pub state_version: u32,
-    /// Former ids of parameters, and those of now.
+    /// Former ids of parameters, and the ids of now.
     pub aliases: Vec<(String, String)>,
 }
 

@@ -15,11 +15,11 @@ use simod_plugin_api::{
 pub(crate) enum Care {
     /// State of this thread's registers: some nanoseconds.
     Registers,
-    /// And what belongs to the whole process: some microseconds.
+    /// State of the whole process, too: some microseconds.
     Process,
 }
 
-/// Undoes it when it is dropped.
+/// Guard that restores the state when it is dropped.
 #[must_use]
 pub(crate) struct RestoreOnDrop {
     modes: Modes,
@@ -86,7 +86,7 @@ mod process {
             Some(this)
         }
 
-        /// Everything as it was.
+        /// Restores the state of the process.
         pub fn leave(&self) {
             let mut inside = self.inside.lock().unwrap_or_else(PoisonError::into_inner);
             *inside -= 1;
@@ -100,7 +100,8 @@ mod process {
         }
     }
 
-    /// Has the C library write what it was told to print, while that goes where it should.
+    /// Has the C library write the text that it was told to print, while standard output leads to where that
+    /// text should go.
     #[allow(unsafe_code, reason = "a function of the C library; the block has its argument")]
     fn flush() {
         #[cfg(any(target_os = "linux", target_os = "macos"))]

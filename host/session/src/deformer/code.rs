@@ -13,8 +13,8 @@ pub struct OwnHandles {
     /// Descriptions of the handles: their places at rest, local coordinates, and the ways in which they may
     /// be moved.
     pub descs: Vec<HandleDesc>,
-    /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no
-    /// surface.
+    /// Faces between the handles, each with its corners as indices of handles; none where the plugin knows of
+    /// no surface.
     pub faces: Vec<Vec<u32>>,
 }
 
@@ -35,8 +35,8 @@ pub trait Code: Send + Sync {
         false
     }
 
-    /// Has the library loaded where that is done late, so that the calls which nobody can stop need not wait
-    /// for it.
+    /// Loads the library where that is done late, so that the calls which nobody can stop need not wait for
+    /// it.
     fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
         let _ = calls;
         Ok(())
@@ -90,7 +90,7 @@ pub(crate) struct RustCode {
 }
 
 impl RustCode {
-    /// The functions of a library's root module, and of the extensions that it has.
+    /// Functions of a library's root module, and of its extensions.
     pub fn new(module: PluginModRef) -> Self {
         fn extension<T: ExtensionInterface>(module: PluginModRef) -> Option<&'static T> {
             module.extension()(T::ID.into()).into_option().and_then(|e| e.get())

@@ -11,7 +11,7 @@ pub(crate) const LONGEST_LIST: usize = 10_000;
 /// The most that all texts take together, in bytes.
 const LONGEST_TEXTS: usize = 16 << 20;
 
-/// All texts of a description, each with what it is.
+/// Texts of a description, each with its name for messages.
 pub fn texts(d: &Descriptor) -> Vec<(&str, String)> {
     let of_plugin = [
         (&d.id, "id"),
@@ -44,7 +44,7 @@ pub fn texts(d: &Descriptor) -> Vec<(&str, String)> {
     texts
 }
 
-/// A parameter's id, as far as it is one that can be read.
+/// Id of a parameter in messages, as far as it can be read.
 fn called(p: &ParamDesc) -> String {
     p.id.chars().take(40).collect()
 }

@@ -96,13 +96,13 @@ impl Plugin {
         Self::new(code, Path::new("this process"))
     }
 
-    /// Asks a plugin what it is, and checks the answer.
+    /// Asks a plugin for its description, and checks it.
     pub(crate) fn new(code: Box<dyn Code>, path: &Path) -> Result<Self> {
         let about = Self::ask(code.as_ref(), path)?;
         Self::known(code, about, path)
     }
 
-    /// A plugin of which is known what it is; checked.
+    /// Plugin whose description is known, which is checked.
     pub(crate) fn known(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
         check_description(&about.descriptor).map_err(|what| refused(path, &what))?;
         let migration = about.migration.as_ref().map(|m| check_migration(&about.descriptor, m));
@@ -117,7 +117,7 @@ impl Plugin {
         Ok(About { descriptor, capabilities: code.capabilities(), migration })
     }
 
-    /// A plugin of which is known what it is, whatever that may be: for those who look at it more closely.
+    /// Plugin whose description is known, and is not checked: for those who look at it more closely.
     pub(crate) fn unchecked(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
         let About { descriptor, capabilities, migration } = about;
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
@@ -160,12 +160,12 @@ impl Plugin {
         &self.descriptor.version
     }
 
-    /// One line on what it does.
+    /// Summary of what the plugin does, in one line.
     pub fn summary(&self) -> &str {
         &self.descriptor.summary
     }
 
-    /// The publication that it implements; may be empty.
+    /// The publication that the plugin implements; may be empty.
     pub fn citation(&self) -> &str {
         &self.descriptor.citation
     }
@@ -195,7 +195,7 @@ impl Plugin {
         self.capabilities
     }
 
-    /// The version of what its parameters mean: 1 where it says none.
+    /// Version of the plugin's parameters and their meaning: 1 where the plugin declares none.
     pub fn state_version(&self) -> u32 {
         self.migration.as_ref().map_or(1, |m| m.state_version)
     }
@@ -276,7 +276,7 @@ impl Plugin {
         self.all_usable(points.len(), points.iter().filter(|p| bad(p)).count(), first)
     }
 
-    /// The error that it has no map of space.
+    /// Error of a plugin that has no map of space.
     pub(crate) fn samples_only(&self) -> Error {
         Error::plugin(
             format!(
@@ -378,8 +378,8 @@ impl Plugin {
     }
 }
 
-/// Hashes of the samples' arrays, of all their pages that leave the same remainder: what is done again and
-/// again is looked at in turn.
+/// Hashes of the samples' arrays, each of all pages whose numbers leave the same remainder: checks that are
+/// made again and again look at one part after the other.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Fingerprint([u64; Self::PARTS]);
 
@@ -387,7 +387,7 @@ pub(crate) struct Fingerprint([u64; Self::PARTS]);
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum SampleChecks {
     All,
-    /// One of the parts of a fingerprint, which are counted round and round.
+    /// One of the parts of a fingerprint, which are taken in turn.
     Part(usize),
 }
 
@@ -429,13 +429,13 @@ impl Plugin {
         About { descriptor: self.descriptor.clone(), capabilities: self.capabilities, migration }
     }
 
-    /// The tool's description, as it was told at load.
+    /// Description that the plugin gave of itself at load.
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// The tool's calls as it answers them, with error codes, and output of any kind: to measure and check
-    /// them. What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
+    /// Calls of the plugin as it answers them, with error codes, and output of any kind: to measure and check
+    /// them. Deformations for users go by a [`Stack`](crate::Stack), which checks the output.
     pub fn code(&self) -> &dyn Code {
         self.code.as_ref()
     }
@@ -544,7 +544,7 @@ pub fn line(text: &str) -> String {
     words.collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
 }
 
-/// The host as one plugin sees it: passes progress and cancellation on, collects what it says.
+/// Host as one plugin sees it: passes progress and cancellation on, and collects the plugin's messages.
 pub(crate) struct PluginWatch<'a> {
     progress: &'a dyn Progress,
     plugin: &'a str,

@@ -30,7 +30,7 @@ impl Modes {
         Self { vectors: vectors & !Self::TOLD, stack }
     }
 
-    /// Makes them those of this thread.
+    /// Sets the modes of this thread.
     pub fn set(self) {
         // SAFETY: both read one number, which `current` got from the same register: no reserved bit is set.
         // All code outside of plugins relies on the modes that are set here.
@@ -53,7 +53,7 @@ impl Modes {
         Self { control }
     }
 
-    /// Makes them those of this thread.
+    /// Sets the modes of this thread.
     pub fn set(self) {
         // SAFETY: the value is one that `current` read from this register. All code outside of plugins relies
         // on it.
@@ -65,12 +65,12 @@ impl Modes {
 
 #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
 impl Modes {
-    /// Nothing is known of this processor.
+    /// Modes without content: those of this processor are not known.
     pub fn current() -> Self {
         Self {}
     }
 
-    /// As above.
+    /// Does nothing, as above.
     pub fn set(self) {}
 }
 

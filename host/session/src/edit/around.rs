@@ -16,7 +16,8 @@ use std::sync::Arc;
 
 /// Samples that have a word.
 const NEAR: usize = 20;
-/// One, the three coordinates, and what is quadratic along the surface.
+/// Number of terms of the polynomial: one, the three coordinates, and three that are quadratic along the
+/// surface.
 const TERMS: usize = 7;
 /// Regularisation of the terms of the polynomial that samples of a plane do not determine: it holds them to
 /// zero.
@@ -29,7 +30,7 @@ const AWAY: f32 = -0.5;
 /// Memory: 160 bytes for each of these.
 pub struct Around(Vec<[Word; NEAR]>);
 
-/// A sample, and how much of its displacement counts.
+/// Sample near an appended one, and the weight of its displacement.
 #[derive(Debug, Clone, Copy)]
 struct Word {
     sample: u32,
@@ -62,7 +63,7 @@ impl Around {
     }
 }
 
-/// The weights of the samples nearest to a place, on its side of the surface.
+/// Weights of the samples nearest to a place, on its side of the surface.
 fn words(samples: &SampleSet, p: Vec3) -> [Word; NEAR] {
     let nearest = samples.nearest(p);
     let normals = samples.normals();

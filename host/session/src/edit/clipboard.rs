@@ -48,7 +48,7 @@ pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     Ok(steps)
 }
 
-/// Makes a step one that is in no file, with its files seen from a folder.
+/// Makes a step one that is in no file, with the paths of its files relative to a folder.
 pub(crate) fn seen_from(step: &mut Step, folder: &Path) {
     step.place.clear();
     if let Action::Deform(deformation) = &mut step.action {
@@ -57,8 +57,7 @@ pub(crate) fn seen_from(step: &mut Step, folder: &Path) {
     }
 }
 
-/// A step whose files are named by whole paths, with where its plugin came from; as far as the plugin is
-/// there to say so.
+/// Step whose files are named by whole paths, with the origin of its plugin; as far as the plugin is there.
 fn with_whole_paths(step: &Step, plugins: &PluginRegistry) -> Result<Step> {
     let mut step = step.clone();
     if let Action::Deform(Deformation { deform, plugin: origin, params, folder, .. }) = &mut step.action

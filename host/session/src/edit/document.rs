@@ -17,13 +17,13 @@ use std::sync::Arc;
 /// change.
 const LONGEST_HISTORY: usize = 1000;
 
-/// One change of a document. Steps are known by their place, 0 for the first.
+/// Command that changes a document. Steps are named by their place, 0 for the first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum EditCommand {
     /// A new step, before the one that is at this place now.
     Add {
-        /// The place that it gets.
+        /// The place that the step gets.
         at: usize,
         /// The step.
         step: Box<Step>,
@@ -70,21 +70,21 @@ pub enum EditCommand {
     },
     /// All steps of a group are switched on, or off.
     EnableGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
         /// Whether the group's steps are to be switched on.
         enabled: bool,
     },
     /// The steps of a group get other places, one after the other.
     MoveGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
-        /// The place of the first of them afterwards.
+        /// The place of the first of the group's steps afterwards.
         to: usize,
     },
     /// The steps of a group go away.
     RemoveGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
     },
     /// The step becomes another one.
@@ -96,7 +96,7 @@ pub enum EditCommand {
     },
 }
 
-/// One change of a step.
+/// Change of a step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Change {
@@ -104,29 +104,29 @@ pub enum Change {
     Enable(bool),
     /// The step is called otherwise; nothing for what its plugin is called.
     SetTitle(Option<String>),
-    /// Another amount of it is done, from 0 to 1.
+    /// Another amount of the deformation is done, from 0 to 1.
     SetAmount(f64),
     /// A parameter gets a value.
     SetParam {
         /// The parameter's id.
         id: String,
-        /// As in a session file; nothing for the default.
+        /// The value as in a session file; none for the default.
         #[serde(default)]
         value: Option<toml::Value>,
     },
-    /// Other regions take the place of those that are there.
+    /// Other regions take the place of the former ones.
     SetRegions(Vec<Region>),
     /// A handle region is moved.
     MoveRegion {
         /// The region's place among those of the step.
         region: usize,
-        /// From the rest pose, whatever it was before.
+        /// The motion from the rest pose, whatever it was before.
         motion: Motion,
     },
-    /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of
-    /// those that are gone go with them.
+    /// Other joints take the place of the former ones, each after the joint that it hangs on. Motions of
+    /// joints that are gone go with them.
     SetJoints(Vec<Joint>),
-    /// A joint is called otherwise, with its motion and what hangs on it.
+    /// A joint gets another id, and so do its motion and the joints that hang on it.
     RenameJoint {
         /// The joint's id.
         from: String,
@@ -137,7 +137,7 @@ pub enum Change {
     MoveHandle {
         /// The handle's id.
         id: String,
-        /// From the rest pose, whatever it was before.
+        /// The motion from the rest pose, whatever it was before.
         motion: Motion,
     },
     /// Handles that the plugin placed are moved together.
@@ -148,7 +148,7 @@ pub enum Change {
     SetStroke {
         /// The stroke's place among those of the step.
         stroke: usize,
-        /// The stroke that it becomes.
+        /// The new stroke.
         to: Arc<Stroke>,
     },
     /// A stroke goes away.
@@ -171,7 +171,7 @@ enum DragTarget {
     Stroke(StepId, usize),
 }
 
-/// The steps, and how they were before.
+/// Steps of an edit, with the changes that can be undone or done again.
 #[derive(Debug, Default)]
 pub struct Document {
     steps: Arc<[Entry]>,
@@ -224,8 +224,8 @@ impl Document {
         Ok(())
     }
 
-    /// Steps that can take the place of those that are there, by [`replace`](Self::replace): they are other
-    /// ones than all that this document has had.
+    /// Entries for steps that can take the place of the document's, by [`replace`](Self::replace): their ids
+    /// are none that this document has had.
     pub fn entries(&mut self, steps: impl IntoIterator<Item = Step>) -> Arc<[Entry]> {
         steps.into_iter().map(|step| self.entry(step)).collect()
     }
@@ -253,7 +253,7 @@ impl Document {
         self.dragged = None;
     }
 
-    /// Takes the last command back, and says what it was; nothing where there is none.
+    /// Takes the last command back, and returns its label; none where there is none.
     pub fn undo(&mut self) -> Option<String> {
         self.rest();
         let (label, before) = self.undo.pop_back()?;
@@ -262,7 +262,7 @@ impl Document {
         Some(label)
     }
 
-    /// Does again what was undone last, and says what it was; nothing where there is none.
+    /// Does again the command that was undone last, and returns its label; none where there is none.
     pub fn redo(&mut self) -> Option<String> {
         self.rest();
         let (label, after) = self.redo.pop()?;
@@ -337,7 +337,7 @@ impl Document {
         Ok(steps.into())
     }
 
-    /// All other deformations are switched off, or on again.
+    /// Switches all other deformations off, or on again.
     fn solo(&mut self, steps: &mut [Entry], at: usize) -> Result<()> {
         let deforms = |entry: &Entry| entry.step.deformation().is_some();
         if !deforms(&steps[at]) {

@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
-/// An edit with its files. It is quick to work on: the model itself is in the [`Evaluation`] that comes with
-/// it, which may be on another thread.
+/// Edit with its files. Its calls are quick: the model itself is in the [`Evaluation`] that comes with it,
+/// which may be on another thread.
 pub struct Editor {
     /// The session with its name and all but the steps.
     session: SessionFile,
@@ -30,16 +30,16 @@ pub struct Editor {
     opened: PathBuf,
     document: Document,
     plugins: Arc<PluginRegistry>,
-    /// The steps as they were saved last, or as they were at first; nothing where those that were at first
-    /// are in no file.
+    /// Steps as they were saved last, or as they were at first; none where those that were at first are in no
+    /// file.
     saved: Option<Arc<[Entry]>>,
-    /// The steps as they were kept last against a crash, or that are not to be kept.
+    /// Steps as they were kept last against a crash, or that are not to be kept.
     kept: Arc<[Entry]>,
 }
 
 impl Editor {
-    /// Samples a session's model, to edit it, and gives what does its steps. `path` is the session's file, if
-    /// it has one.
+    /// Samples a session's model, to edit it, and returns the editor with the evaluation that does its steps.
+    /// `path` is the session's file, if it has one.
     ///
     /// # Errors
     /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as
@@ -121,7 +121,7 @@ impl Editor {
         &mut self.document
     }
 
-    /// The plugins that its steps are of.
+    /// Plugins of the edit's steps.
     pub fn plugins(&self) -> &Arc<PluginRegistry> {
         &self.plugins
     }
@@ -131,7 +131,7 @@ impl Editor {
         self.plugins = plugins;
     }
 
-    /// The model that is edited, as far as the session knows it.
+    /// Path of the model that is edited, as far as the session names it.
     pub fn model(&self) -> Option<&Path> {
         self.session.model.as_deref()
     }
@@ -216,14 +216,14 @@ impl Editor {
         Ok(())
     }
 
-    /// The session as it would be saved at a place.
+    /// Session as it would be saved at a path.
     fn session_at(&self, path: &Path) -> Result<SessionFile> {
         let steps = self.document.steps().iter().map(|entry| (*entry.step).clone()).collect();
         saved_at(&SessionFile { steps, ..self.session.clone() }, path, &self.plugins)
     }
 }
 
-/// A deformation whose files are named as seen from another folder, with where its plugin came from.
+/// Deformation whose files are named relative to another folder, with the origin of its plugin.
 fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<Deformation> {
     let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
     let Ok(plugin) = plugins.get(&from.deform) else { return Ok(to) };
@@ -238,8 +238,8 @@ fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<
     Ok(to)
 }
 
-/// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came
-/// from.
+/// Session as it is saved at a path: its steps name files relative to there, and the origins of their
+/// plugins.
 ///
 /// # Errors
 /// A file cannot be named in a text.

@@ -95,8 +95,8 @@ impl Evaluated {
         self
     }
 
-    /// The deformed samples as a file of them holds them. Where all of them go far, what plugins give in
-    /// single precision is coarse: where all plugins know their map, it is evaluated in double precision
+    /// Deformed samples, rounded as a file holds them. Where all of them go far, positions that plugins give
+    /// in single precision are coarse: where all plugins know their map, it is evaluated in double precision
     /// instead.
     ///
     /// # Errors
@@ -137,7 +137,7 @@ impl Evaluated {
     }
 }
 
-/// The gradients at the samples, where anything of the model turns by them and all plugins know their map.
+/// Gradients at the samples, where any attribute of the model turns by them and all plugins know their map.
 ///
 /// # Errors
 /// A plugin fails; the user cancelled.
@@ -190,13 +190,13 @@ pub struct Evaluation {
 /// Options of refinement steps: the model that they read again, memory and temporary files, and the time.
 #[derive(Debug, Clone, Default)]
 pub struct Refinements {
-    /// The model, if it was moved since it was sampled.
+    /// Path of the model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
     /// Folder in which temporary files without a name are made.
     pub folder: PathBuf,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// For plugins that take the time.
+    /// Time for plugins that take it.
     pub time: Time,
 }
 
@@ -212,7 +212,7 @@ enum StepState {
         before: Arc<SampledModel>,
         after: Arc<SampledModel>,
         rest: Arc<LayerRest>,
-        /// For drafts, from the first one on.
+        /// Weights for drafts, from the first draft on.
         around: Option<Arc<Around>>,
     },
 }
@@ -225,7 +225,7 @@ struct Between {
 }
 
 impl Evaluation {
-    /// Nothing is done yet. If there are steps that refine, the model has to [hold its
+    /// Evaluation that has done nothing yet. If there are steps that refine, the model has to [hold its
     /// cells](SampledModel::hold_cells).
     pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
         Self { sampled, start: None, beginning: None, how, known: HashMap::new(), at: Arc::default() }
@@ -245,7 +245,7 @@ impl Evaluation {
         Ok(Self { start: Some(positions), beginning: None, ..self })
     }
 
-    /// For other steps on the same samples: nothing is done yet.
+    /// Evaluation of other steps on the same samples, which has done nothing yet.
     pub fn another(&self) -> Self {
         Self::new(self.sampled.clone(), self.how.clone())
     }
@@ -382,7 +382,7 @@ impl Evaluation {
         done
     }
 
-    /// The layer of a step, and what is kept of it; both leave their place.
+    /// Layer of a step, and its cache; both are taken out of the evaluation.
     fn layer(
         &mut self,
         id: StepId,
@@ -452,7 +452,7 @@ impl Evaluation {
         Ok(between)
     }
 
-    /// Reads the model again where it is selected.
+    /// Refines the samples by reading the model again where it is selected.
     fn refined(
         &self,
         step: &Refine,

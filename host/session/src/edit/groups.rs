@@ -5,7 +5,7 @@ use super::entry::Entry;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The steps of the group that a step is in, by their places; nothing where it is in none.
+/// Places of the steps of the group that a step is in; none where it is in no group.
 pub fn group_at(steps: &[Entry], at: usize) -> Option<Range<usize>> {
     let name = steps.get(at)?.step.group.as_ref()?;
     let is_in = |entry: &&Entry| entry.step.group.as_ref() == Some(name);
@@ -39,7 +39,7 @@ pub(super) fn part(steps: &mut [Entry], taken: Range<usize>) {
     }
 }
 
-/// The place itself, or that behind the group which it is within.
+/// Place for a step: the place itself, or the one behind the group which it is within.
 pub(super) fn gap_at(steps: &[Entry], at: usize) -> usize {
     group_at(steps, at).filter(|group| group.start < at).map_or(at, |group| group.end)
 }

@@ -13,7 +13,8 @@ use super::units::{FINISHED, Stage, Unit};
 pub enum Emit {
     /// `Makefile`, for as many processes at a time as `make -j` says.
     Make,
-    /// `slurm.sh`, which submits a job for each stage, arrays for those of several units.
+    /// The script `slurm.sh`, which submits a job for each stage, and arrays of jobs for stages of several
+    /// units.
     Slurm,
     /// `commands.txt`, a line for each unit, by stages: for render farms.
     Commands,

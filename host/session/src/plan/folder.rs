@@ -72,8 +72,8 @@ fn is_own(name: &str) -> bool {
     fixed.contains(&name) || Emit::FILES.contains(&name) || numbered.into_iter().any(is_numbered)
 }
 
-/// Puts a plan, and the scripts of engines for its units, into a folder that was begun, and that in its
-/// place.
+/// Puts a plan, and the scripts of engines for its units, into a folder that was begun, and that folder in
+/// its place.
 pub fn put<P: Serialize>(
     new: OutputFolder,
     (plan, units): (&P, &[Unit]),

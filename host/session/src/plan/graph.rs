@@ -20,7 +20,7 @@ pub(super) const COUNTS: &str = "counts.bin";
 /// Starts of runs of faces, where these have to be found.
 pub(super) const FACE_RUNS: &str = "face-runs.bin";
 
-/// The cut through all trees, where faces have a say in what becomes of it.
+/// The cut through all trees, where faces have a say in the samples.
 pub(super) const CUT: &str = "cut.bin";
 
 /// P_S.
@@ -32,20 +32,20 @@ pub(super) const REFINED: &str = "refined.simod";
 /// P_S*.
 pub(super) const DEFORMED: &str = "deformed.ply";
 
-/// The output in the making, where it is known beforehand where each part goes.
+/// The output in the making, where the place of each part in it is known beforehand.
 pub(super) const SHARED: &str = "output.bin";
 
 /// The folder of the tiles in the making, likewise.
 pub(super) const SHARED_TILES: &str = "output.tiles";
 
-/// The id of the upload that all send their parts by, where the output is an object and it is known
-/// beforehand where each part goes.
+/// The id of the upload by which all units send their parts, where the output is an object and the place of
+/// each part in it is known beforehand.
 pub(super) const UPLOAD: &str = "upload.txt";
 
-/// No id of an upload is longer.
+/// Longest id of an upload.
 pub(super) const LONGEST_ID: u64 = 1 << 16;
 
-/// The deformation's gradients at the samples, where anything turns by them.
+/// The deformation's gradients at the samples, where any attribute turns by them.
 pub(super) const GRADIENTS: &str = "gradients.bin";
 
 /// A folder of units: the content of `plan.toml`.
@@ -55,19 +55,19 @@ pub struct Plan {
     pub(super) format: String,
     /// The program's version: others may give other bytes.
     pub(super) program: String,
-    /// The session's file, and the hash of what it says.
+    /// The session's file, and the hash of its content.
     pub(super) session: PathBuf,
     pub(super) session_hash: String,
     /// Path of the deformed model.
     pub(super) output: PathBuf,
-    /// The model, where it is; of one of several tiles, a pattern that they have in common.
+    /// The model's path; for a model of several tiles, a pattern that they have in common.
     pub(super) model: PathBuf,
     /// The model's tiles, if it has any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) tiles: Vec<PathBuf>,
     /// The model's size in bytes.
     pub(super) model_bytes: u64,
-    /// Number of its vertices.
+    /// Number of the model's vertices.
     pub(super) vertices: u64,
     /// Reason for which the model is not divided, if it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -79,11 +79,11 @@ pub struct Plan {
     pub(super) units: Vec<Unit>,
 }
 
-/// The files in which ranges of the vertices write down what others need of the cells that they share.
+/// Files in which ranges of the vertices write down what other ranges need of the cells that they share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Exchange {
-    /// So many bytes at most, which it comes to where vertices come in no order.
+    /// Most bytes of these files, which is reached where vertices come in no order.
     pub at_most_bytes: u64,
     /// Reason for which one unit samples the model, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -207,7 +207,7 @@ impl Plan {
         &self.output
     }
 
-    /// The session that it does.
+    /// Path of the session that the plan is of.
     pub fn session(&self) -> &Path {
         &self.session
     }
@@ -247,7 +247,7 @@ impl Plan {
         self.options.force
     }
 
-    /// Method and normals, or what is wrong with them.
+    /// Method and normals, or the error in their names.
     pub(super) fn recorded(&self) -> Result<(Method, Normals), String> {
         let Recorded { method, normals, .. } = &self.options;
         let known = named(&METHODS, method).zip(named(&NORMALS, normals));

@@ -35,7 +35,7 @@ pub struct PlanOptions<'a> {
     pub normals: Normals,
     /// The offset of positions that are stored as integers may be another one.
     pub choose_offset: bool,
-    /// Another format may lose what it cannot hold.
+    /// Whether another format may lose content that it cannot hold.
     pub lossy: bool,
     /// Files of other kinds may be replaced by the output.
     pub force: bool,
@@ -43,9 +43,10 @@ pub struct PlanOptions<'a> {
     pub follow: &'a Follow,
     /// Libraries of plugins that were chosen.
     pub plugins: &'a [PathBuf],
-    /// Samples have all that those of a folder have, but for colours, and not only what the steps need.
+    /// Whether the samples get all that those of a folder have, but for colours, and not only what the steps
+    /// need.
     pub whole_samples: bool,
-    /// So many units share each stage that can be divided.
+    /// Number of units that share each stage that can be divided.
     pub units: u64,
     /// The engines that files are written for.
     pub emit: &'a [Emit],
@@ -122,7 +123,7 @@ fn is_read_anywhere(model: &dyn Model, normals: Normals) -> bool {
     model.info().random_access && model.division(normals).is_some()
 }
 
-/// Most units that cluster ranges, each of which every group of cells comes after.
+/// Most units that cluster ranges, since every group of cells has to wait for each of them.
 const MOST_CLUSTERING: u64 = 1000;
 
 /// Number of units that cluster ranges of the model, which is also the number of groups of cells that these
@@ -165,7 +166,7 @@ fn output_outside(folder: &Path, session: &SessionFile, output: &Path) -> Result
     Ok(output)
 }
 
-/// The options as units read them.
+/// Options as units read them.
 fn recorded(options: &PlanOptions<'_>, follow: Follow, time: SessionTime) -> Result<Recorded> {
     Ok(Recorded {
         method: name_of(&METHODS, &options.method),
@@ -254,7 +255,7 @@ fn sampling_units(
     })
 }
 
-/// Adds the units of a stage, each of a part that has its number, after the same others.
+/// Adds the units of a stage, each for the part with its number, after the same other units.
 fn parts(
     add: &mut impl FnMut(Stage, Vec<usize>, UnitExtent, PathBuf) -> usize,
     (stage, name): (Stage, &str),

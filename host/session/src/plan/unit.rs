@@ -116,7 +116,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// The session, and how its model is sampled.
+    /// Session, and the options for sampling its model.
     fn sampling(&self, plugins: &PluginRegistry) -> Result<(SessionFile, Sampling)> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
@@ -160,7 +160,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// The cut, for units that complete it.
+    /// Makes the cut, for units that complete it.
     fn cut(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -211,7 +211,7 @@ impl UnitRun<'_> {
         UnitDivision { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
     }
 
-    /// The files of what each range has of cells that it shares with others.
+    /// Files of the data that each range has of cells that it shares with others.
     fn shared(&self) -> Vec<PathBuf> {
         let ranges = self.plan.files_of(self.folder, Stage::Cluster).len();
         (0..ranges).map(|range| self.path(&format!("shared-{range}.bin"))).collect()
@@ -363,7 +363,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { written: Some(written), ..UnitDone::default() })
     }
 
-    /// The output while it is made, which apply units share.
+    /// Path of the output while it is made, which the units that apply the deformation share.
     fn output_in_the_making(&self) -> PathBuf {
         self.path(if self.plan.tiles.is_empty() { SHARED } else { SHARED_TILES })
     }
@@ -373,7 +373,7 @@ impl UnitRun<'_> {
         self.folder.join(&self.unit.writes)
     }
 
-    /// The session, which says what it said when the plan was made.
+    /// Session, whose content has to be the one of which the plan was made.
     fn session(&self) -> Result<SessionFile> {
         let path = &self.plan.session;
         if hash_of(path)? != self.plan.session_hash {
@@ -389,7 +389,7 @@ impl UnitRun<'_> {
         Ok(session)
     }
 
-    /// The model, as far as its size tells.
+    /// Opens the model, and checks that its size is that of the plan.
     fn open(&self, session: &SessionFile, cache: &Arc<Cache>) -> Result<Box<dyn Model>> {
         let mut model = open(session, cache, self.progress)?;
         if (model.info().bytes, model.info().vertices) != (self.plan.model_bytes, self.plan.vertices) {
@@ -461,7 +461,7 @@ impl UnitRun<'_> {
             .for_each(|file| drop(std::fs::remove_file(file)));
     }
 
-    /// Says in the plan's folder that the output is in its place.
+    /// Notes in the plan's folder that the output is in its place.
     fn finished(&self, model: &dyn Model) -> Result<()> {
         let output = &self.plan.output;
         let bytes = if is_object(output) {
@@ -492,7 +492,7 @@ impl OfFaces {
     }
 }
 
-/// All that the writing of the model needs.
+/// Input of the writing of the model.
 struct WritingInputs {
     sampled: SampledModel,
     model: Box<dyn Model>,
@@ -513,7 +513,7 @@ impl WritingInputs {
     }
 }
 
-/// The bytes and their hash.
+/// Bytes with their hash behind them.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let hash = xxhash_rust::xxh3::xxh3_128(&bytes).to_le_bytes();
     bytes.extend_from_slice(&hash);

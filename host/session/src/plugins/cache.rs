@@ -14,7 +14,7 @@ use std::time::UNIX_EPOCH;
 /// Changes whenever what is kept has another form or meaning.
 const FORM: u32 = 2;
 
-/// No cache is longer.
+/// Most bytes of a cache.
 const LONGEST: u64 = 64 << 20;
 
 /// Stamp of a file, by which one state of the file is told from another.
@@ -27,7 +27,7 @@ pub(super) struct LibraryStamp {
 }
 
 impl LibraryStamp {
-    /// The stamp of a file, where it can be read.
+    /// Stamp of a file, if it can be read.
     pub fn from_path(path: &Path) -> Option<Self> {
         let meta = path.metadata().ok()?;
         let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
@@ -49,7 +49,7 @@ struct LibraryEntry {
 #[derive(Serialize, Deserialize)]
 struct CacheFile {
     form: u32,
-    /// The versions of this program and of its interface.
+    /// Versions of this program and of its interface.
     versions: [String; 2],
     libraries: BTreeMap<PathBuf, LibraryEntry>,
 }

@@ -69,7 +69,7 @@ pub fn aborts_on_panic(path: &Path) -> Option<bool> {
         .then(|| !has(b"_Unwind_RaiseException"))
 }
 
-/// The format of a library, and what kind of plugin it is, if any; nothing if something is missing.
+/// Format of a library, and the kind of plugin it is, if any; none if a part of the file is missing.
 fn contents(
     data: &ReadCache<impl ReadCacheOps>,
     format: FileKind,
@@ -95,7 +95,7 @@ fn range_of_ours(arches: &[impl FatArch]) -> Option<(u64, u64)> {
     arches.iter().find(|arch| arch.architecture() == ours).map(FatArch::file_range)
 }
 
-/// As [`contents`], of a single library.
+/// Format and kind as of [`contents`], of a single library.
 fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<EntryPoint>)> {
     let (file, length) = (File::parse(data).ok()?, data.len().ok()?);
     let is_there = |(start, size): (u64, u64)| start.checked_add(size).is_some_and(|end| end <= length);

@@ -66,7 +66,7 @@ fn root_module(path: &Path) -> std::result::Result<PluginModRef, (LibraryError, 
     header.init_root_module::<PluginModRef>().map_err(|e| (e, Some(version.to_owned())))
 }
 
-/// The code of a library of which is known what it is: loaded when it is first called.
+/// Code of a library whose description is known: the library is loaded when it is first called.
 pub(super) struct LazyCode {
     path: PathBuf,
     about: About,
@@ -149,8 +149,8 @@ impl Code for LazyCode {
     }
 }
 
-/// One line instead of the hundreds that abi_stable has. `theirs` is the interface's version that the plugin
-/// was built with, where known.
+/// Error of a library in one line, instead of the hundreds that abi_stable has. `theirs` is the interface's
+/// version that the plugin was built with, where known.
 fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
     let ours = interface();
     let file = path.display();

@@ -71,9 +71,9 @@ pub enum Isolation {
     /// Plugins that did not come with the program.
     #[default]
     Others,
-    /// All of them.
+    /// All plugins.
     Always,
-    /// None.
+    /// No plugin.
     Never,
 }
 
@@ -91,7 +91,7 @@ impl Isolation {
 /// Options of looking for plugins and running them.
 #[derive(Debug, Clone)]
 pub struct PluginOptions {
-    /// Libraries to use whatever others of their ids there are.
+    /// Libraries to use, whatever others with their ids there are.
     pub chosen: Vec<PathBuf>,
     /// The folders to look in, most important first.
     pub folders: Vec<PluginFolder>,
@@ -133,7 +133,7 @@ impl PluginOptions {
     }
 }
 
-/// A library that took its time to say what it is.
+/// Library that took long to describe itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Slow {
     /// The library's file.
@@ -199,7 +199,7 @@ impl PluginRegistry {
         registry
     }
 
-    /// A plugin takes the place of any other of its id.
+    /// Adds a plugin, which takes the place of any other of its id.
     pub fn put(&mut self, plugin: Arc<Plugin>) {
         self.plugins.retain(|known| known.id() != plugin.id());
         self.plugins.push(plugin);
@@ -388,7 +388,7 @@ impl PluginRegistry {
         self.rejected.iter().find(is_chosen).map(|r| &r.error)
     }
 
-    /// Libraries that took their time to say what they are.
+    /// Libraries that took long to describe themselves.
     pub fn slow(&self) -> &[Slow] {
         &self.slow
     }
@@ -440,7 +440,7 @@ pub fn load_unchecked(path: &Path) -> Result<Plugin> {
     Plugin::unchecked(code, about, path)
 }
 
-/// The plugin of a library, of which may be known what it is.
+/// Plugin of a library, whose description may be known.
 fn open(
     file: &Path,
     shipped: bool,

@@ -38,7 +38,7 @@ pub(crate) struct Layer {
     /// The handle regions' motions, model coordinates.
     transforms: Vec<DAffine3>,
     share: Share,
-    /// Each after the one that it hangs on.
+    /// Joints, each after the one that it hangs on.
     joints: Vec<Joint>,
     /// Motions of handles that the plugin places.
     handles: Vec<HandleMove>,
@@ -54,7 +54,7 @@ pub(crate) struct LayerResult {
     /// Messages of the plugin.
     pub messages: Vec<Message>,
     plugin: Arc<Plugin>,
-    /// Nothing where the plugin said that it would not move anything.
+    /// State that the plugin prepared; none where the plugin said that it would not move anything.
     preparation: Option<Arc<Preparation>>,
     rest: Arc<LayerRest>,
     motions: Motions,
@@ -92,7 +92,7 @@ struct Preparation {
     rest: Arc<LayerRest>,
     /// Attributes of the samples, where the plugin asks for them.
     attributes: Option<Arc<SampleAttributes>>,
-    /// Between deformations, which may go on where the last one stopped.
+    /// Scratch of the plugin between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
     /// Fingerprint of the samples that the plugin finds and has to leave as they are; and (`unchecked`) the
     /// number of calls since all of them were compared.
@@ -101,7 +101,7 @@ struct Preparation {
     messages: Vec<Message>,
 }
 
-/// As few as these are looked at in less than a tenth of a millisecond.
+/// Most samples of which all are compared each time: that takes less than a tenth of a millisecond.
 const FEW_SAMPLES: usize = 20_000;
 
 impl Preparation {
@@ -147,13 +147,13 @@ impl LayerCache {
     }
 }
 
-/// All that moves, without a new preparation, as plugins take it.
+/// Everything that moves without a new preparation, as plugins take it.
 #[derive(Debug)]
 struct Motions {
     params: LocalParams,
-    /// One for each handle region.
+    /// Transforms, one for each handle region.
     transforms: Vec<api::Affine>,
-    /// One for each handle that the plugin placed.
+    /// Motions, one for each handle that the plugin placed.
     handles: Vec<api::Affine>,
     strokes: Vec<Arc<LocalStroke>>,
     /// The effort, where the plugin asks for it.
@@ -194,7 +194,7 @@ impl Layer {
         layer.map_err(|e| in_its_words(e, step, plugin))
     }
 
-    /// The layer of a step that is as the plugin has it now.
+    /// Layer of a step that is up to the plugin of now.
     fn for_step(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
@@ -328,7 +328,7 @@ impl Layer {
         Ok((Arc::new(LayerRest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
     }
 
-    /// Has the plugin deform what it has prepared.
+    /// Calls the plugin to deform what it has prepared.
     fn deformed(
         &self,
         preparation: Arc<Preparation>,
@@ -422,7 +422,7 @@ impl Layer {
         Ok(others.into_iter().map(|(_, id, model)| (id, model)).collect())
     }
 
-    /// The rest shape with normals that fit, if the plugin needs them.
+    /// Rest shape with normals that fit, if the plugin needs them.
     fn with_normals(&self, rest: &Arc<LayerRest>, shape: &RestShape<'_>) -> Result<Arc<LayerRest>> {
         if !self.plugin.consumes().normals {
             return Ok(rest.clone());
@@ -504,7 +504,7 @@ impl Layer {
         call(&api::PrepareInput::new(rest.samples(), rest.bounds, regions, &values).with_parts(&parts))
     }
 
-    /// All that moves; the plugin is asked where its handles are.
+    /// Everything that moves; the plugin is asked for the places of its handles.
     fn motions(
         &self,
         rest: &LayerRest,
@@ -598,7 +598,7 @@ impl Layer {
         Ok(images)
     }
 
-    /// The motions of the handles that the plugin placed, those of what they hang on included; local
+    /// Motions of the handles that the plugin placed, including those of the handles that they hang on; local
     /// coordinates.
     fn handle_motions(&self, placed: &[api::HandleDesc], frame: &Frame) -> Result<Vec<api::Affine>> {
         let known = |id: &str| placed.iter().any(|h| h.id == id);
@@ -630,7 +630,8 @@ impl Layer {
     }
 }
 
-/// Positions of which none is written yet, as many as these: in their place, if nobody else has it.
+/// Positions of NaN, `count` of them, since none is written yet: in the memory of `spare`, if nobody else has
+/// it.
 fn unwritten(spare: Option<Arc<[Vec3]>>, count: usize) -> Arc<[Vec3]> {
     let mut spare = spare.filter(|spare| spare.len() == count);
     match spare.as_mut().and_then(Arc::get_mut) {
@@ -640,7 +641,7 @@ fn unwritten(spare: Option<Arc<[Vec3]>>, count: usize) -> Arc<[Vec3]> {
     spare.unwrap_or_default()
 }
 
-/// An error of another model, with whose it is, the parameter that names it, and its file.
+/// Error of another model, with the plugin, the parameter that names the model, and its file.
 fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;
@@ -707,7 +708,7 @@ impl LocalStroke {
 }
 
 impl Motions {
-    /// A key with all of it.
+    /// Key of all motions.
     fn key(&self, former: u64) -> Key {
         let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
         let Self { params, transforms, handles, effort, time, .. } = self;

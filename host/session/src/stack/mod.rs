@@ -37,8 +37,8 @@ pub struct PreparedStack {
 }
 
 impl Stack {
-    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what
-    /// they ask for. Refinements are passed over: they are of a model, not of samples alone.
+    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against the
+    /// plugins' descriptions. Refinements are passed over: they need a model, and not samples alone.
     ///
     /// # Errors
     /// A plugin is not there, or a step does not fit it.
@@ -77,7 +77,7 @@ impl Stack {
         }
     }
 
-    /// Each layer's plugin with all parameters in effect.
+    /// Plugin of each layer with all parameters in effect.
     pub fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
         self.layers.iter().map(|l| (&*l.plugin, l.params()))
     }
@@ -137,7 +137,7 @@ mod tests {
     use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// A model with these samples, and no others.
+    /// Model with these samples, and no others.
     fn sampled(
         positions: &[Vec3],
         triangles: &[[u32; 3]],

@@ -14,14 +14,14 @@ use std::sync::Arc;
 /// Derives unit normals, one per sample, from changed positions (local coordinates).
 pub(crate) type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
 
-/// For what a deformation is, and when in a sequence.
+/// Effort of a deformation, and its time in a sequence.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Moment {
     pub effort: api::Effort,
     pub time: api::Time,
 }
 
-/// The samples as they were taken, and where.
+/// Samples as they were taken, at rest.
 #[derive(Clone, Copy)]
 pub(crate) struct RestShape<'a> {
     /// Local positions; all finite.
@@ -43,8 +43,8 @@ pub(crate) struct RestShape<'a> {
     pub frame: Frame,
     /// The model's box, model coordinates.
     pub bounds: Bounds,
-    /// Normals for changed positions, for layers that need them after others. Without it they get the old
-    /// ones.
+    /// Function for normals of changed positions, for layers that need them after others. Without it such
+    /// layers get the old normals.
     pub renormal: Option<&'a Renormal<'a>>,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct LayerRest {
     pub normals_fit: bool,
     pub spacing: Arc<[f32]>,
     pub bounds: api::Bounds,
-    /// Stands for all of it: a hash of what it came from.
+    /// Key that stands for the rest shape: a hash of all that it came from.
     pub key: u64,
 }
 
@@ -138,7 +138,7 @@ pub fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }
 
-/// An error of a layer, with its place; a cancel has none.
+/// Error of a layer, with its place; that of a cancellation gets none.
 pub(crate) fn located(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;

@@ -37,7 +37,8 @@ const GRACE: Duration = Duration::from_secs(2);
 /// Options of running plugins' processes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerOptions {
-    /// The program, and the arguments that make it call [`serve`] with the three that follow them.
+    /// Program and arguments of the worker's process; the arguments make it call [`serve`] with the three
+    /// that follow them.
     pub command: Vec<PathBuf>,
     /// Longest time that a call may go on without any sign of life, as progress is one.
     pub silence: Duration,
@@ -115,7 +116,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Starts a process for a library, asks what it is, and ends it again.
+/// Starts a process for a library, asks for the library's description, and ends the process again.
 pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>, progress: &dyn Progress) -> Result<About> {
     Worker::start(library, options, &StopRequest(progress)).map(|(_, about)| about)
 }
@@ -154,7 +155,7 @@ impl WorkerCode {
         Ok(worker.insert(Arc::new(started)).clone())
     }
 
-    /// Has a request answered by the plugin's process. `call` names it in errors.
+    /// Sends a request to the plugin's process, and returns the answer. `call` names it in errors.
     fn call(
         &self,
         worker: &Worker,
@@ -169,7 +170,7 @@ impl WorkerCode {
         })
     }
 
-    /// Has an input sent there and a request made of it answered.
+    /// Sends an input to the process, and a request on it; returns the answer.
     fn call_with_input(
         &self,
         call: &str,
@@ -187,7 +188,7 @@ impl WorkerCode {
         Ok((worker, range, reply))
     }
 
-    /// The state, if it is one of the process that is there now.
+    /// State, if it belongs to the process that is there now.
     fn own<'a, T>(&self, worker: &Arc<Worker>, of: &Arc<Worker>, content: &'a T) -> PluginResult<&'a T> {
         if Arc::ptr_eq(worker, of) {
             return Ok(content);
@@ -329,7 +330,7 @@ impl Code for WorkerCode {
 }
 
 impl WorkerCode {
-    /// Has a request answered that writes an array to a range of the shared memory, and takes it from there.
+    /// Sends a request that writes an array to a range of the shared memory, and takes the array from there.
     #[expect(clippy::too_many_arguments, reason = "the call's own, and the two places")]
     fn take_back(
         &self,
@@ -463,8 +464,8 @@ impl Worker {
         self.wait(link, calls, silence, GRACE)
     }
 
-    /// Waits for an answer, and passes on what comes before it. Where the user asks to stop, the plugin has
-    /// so much time to do so as `grace` says.
+    /// Waits for an answer, and passes on the messages before it. Where the user asks to stop, the plugin has
+    /// the time `grace` to do so.
     fn wait(
         &self,
         link: &ProcessLink,

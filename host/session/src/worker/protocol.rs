@@ -39,7 +39,7 @@ pub(super) enum Request {
         points: Slice,
     },
     Handles(InputRecord),
-    /// The version that settings are of, and these.
+    /// Settings to be brought up to date, and their version.
     Migrate(u32, Vec<SettingRecord>),
     IsIdentity {
         bounds: [[f64; 3]; 2],

@@ -83,7 +83,7 @@ fn requests(socket: &UnixStream) -> std::io::Result<Receiver<Request>> {
     Ok(requests)
 }
 
-/// Loads the library, and says what it is, or why it is refused.
+/// Loads the library, and sends its description, or the reason for which it is refused.
 fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
     let loaded = load_code(library, false).and_then(|code| {
         let about = Plugin::ask(code.as_ref(), library)?;

@@ -30,7 +30,7 @@ fn an_unknown_plugin_is_guessed_at() {
     assert_eq!(error.hint(), "there are misbehaving, rbf, warp");
 }
 
-/// Each of them alone gets a reason, on one line; none keeps the good one from working.
+/// Each bad library alone gets a reason, on one line; none keeps the good one from working.
 #[test]
 fn bad_libraries_do_not_hide_good_ones() {
     let folder = tempfile::tempdir().unwrap();

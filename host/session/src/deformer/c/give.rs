@@ -66,7 +66,7 @@ impl Texts {
     }
 }
 
-/// Calls with settings of a session, as long as they are there.
+/// Calls with settings of a session, which live during the call.
 pub(super) fn with_settings<T>(
     settings: &[Setting],
     call: impl FnOnce(*const SimodParam, usize) -> T,
@@ -126,7 +126,7 @@ fn other_model((model, param): (&OtherModel<'_>, &CString)) -> SimodOtherModel {
     }
 }
 
-/// Calls with what a preparation gets, as long as it is there.
+/// Calls with the input of a preparation, which lives during the call.
 pub(super) fn with_prepare_input<T>(
     input: &PrepareInput<'_>,
     call: impl FnOnce(*const SimodPrepareInput) -> T,
@@ -177,7 +177,7 @@ pub(super) fn with_prepare_input<T>(
     Ok(call(&input))
 }
 
-/// Calls with what a deformation gets, as long as it is there.
+/// Calls with the input of a deformation, which lives during the call.
 pub(super) fn with_deform_input<T>(
     input: &DeformInput<'_>,
     call: impl FnOnce(*const SimodDeformInput) -> T,

@@ -10,12 +10,12 @@ use std::sync::{Mutex, PoisonError};
 /// Hears what a plugin says during one call.
 pub(super) struct Ear<'a> {
     calls: &'a dyn HostCalls,
-    /// The last error that it told: what is wrong, and what to do about it.
+    /// The last error that the plugin told: the error in words, and advice.
     told: Mutex<Option<(String, String)>>,
 }
 
 impl<'a> Ear<'a> {
-    /// Passes on to the host what is for it.
+    /// Ear that passes on to the host what the plugin tells it.
     pub fn new(calls: &'a dyn HostCalls) -> Self {
         Self { calls, told: Mutex::new(None) }
     }
@@ -79,7 +79,7 @@ unsafe extern "C" fn error(
     code
 }
 
-/// A plugin's function with what it wants to be called with.
+/// Function of a plugin with the context that the plugin wants it to be called with.
 struct PluginCall {
     call: unsafe extern "C" fn(*mut c_void, usize),
     context: *mut c_void,

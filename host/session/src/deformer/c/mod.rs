@@ -209,7 +209,7 @@ unsafe fn extension<T: Copy>(plugin: &SimodPlugin, id: &CStr) -> Option<T> {
 /// Reason for which a call expects the plugin to have it: calls that are not offered are not made.
 const OFFERED: &str = "the plugin offers it";
 
-/// Calls the plugin with a host that hears what it says, and makes an error of what is no success.
+/// Calls the plugin with a host that hears its messages, and makes an error of any status but success.
 fn call(calls: &dyn HostCalls, call: impl FnOnce(*const SimodHost) -> u32) -> PluginResult<()> {
     let ear = listen::Ear::new(calls);
     match call(&ear.host()) {
