@@ -1,7 +1,7 @@
 //! simod-generate: models of any size, made from formulas: for tests, measurements and the demonstration.
 //!
 //! A [`Surface`] is a list of patches with rows of vertices, evaluated in double precision as they are asked
-//! for. What it keeps grows with the number of rows (the square root of the number of vertices); vertices and
+//! for. Its memory grows with the number of rows (the square root of the number of vertices); vertices and
 //! triangles come in blocks of bounded size, computed on all cores, in the same order and with the same bits
 //! for any number of threads.
 

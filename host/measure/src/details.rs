@@ -44,8 +44,9 @@ pub struct DetailRotation {
 }
 
 impl<'a> Details<'a> {
-    /// Details are what is smaller than `radius`, the standard deviation of the smoothing, in the positions'
-    /// unit: at 0 there are none. It takes about 17 radius / edge steps over the mesh.
+    /// Details are the parts of a surface that are smaller than `radius`, the standard deviation of the
+    /// smoothing, in the positions' unit: at 0 there are none. It takes about 17 radius / edge steps over the
+    /// mesh.
     pub fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]], radius: f64) -> Self {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let mut sides = sorted(sides(valid.copied()));
@@ -253,7 +254,8 @@ impl SmoothingSteps {
 
     fn new(steps: u32) -> Self {
         let n = f64::from(steps);
-        // Of 2 n over n paths of 2²ⁿ; those further off are told by the ones before them.
+        // The share of the middle, 2 n over n paths of 2²ⁿ; those of the places further off follow from the
+        // ones before them.
         let mut share = (1..=steps).map(|i| 1.0 - 0.5 / f64::from(i)).product::<f64>();
         let mut shares = vec![share];
         for k in (1..=steps).map(f64::from) {

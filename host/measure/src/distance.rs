@@ -350,7 +350,7 @@ mod tests {
             let bumpy = |p: &DVec3| middle + *p * size * (1.0 + 0.2 * (9.0 * p.x).sin() * (7.0 * p.y).cos());
             let points: Vec<DVec3> = sphere.iter().map(bumpy).collect();
             let surface = DistanceSurface::new(&points, &triangles).unwrap();
-            // Points of it, near it, and so far from it that single precision does not tell how far.
+            // Points of the surface, near it, and so far from it that single precision does not tell how far.
             for i in 0..900 {
                 let t = f64::from(i);
                 let to = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 0.37).sin()).normalize_or_zero();

@@ -188,7 +188,7 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
     let squares: f64 = m.to_cols_array().iter().map(|x| x * x).sum();
     let size = squares.sqrt();
     let (linear, constant) = (-8.0 * m.determinant(), determinant(matrix));
-    // From above, where Newton's steps go down to it.
+    // The start is above the greatest root, so that Newton's steps descend to it.
     let mut greatest = 3f64.sqrt() * size;
     let mut slope = 0.0;
     for _ in 0..STEPS {
@@ -262,7 +262,7 @@ mod tests {
             let columns =
                 [1.7, 2.9, 5.3].map(|k| DVec3::new(number(i, k), number(i, 1.3 * k), number(i, 2.1 * k)));
             let scale = 10f64.powi(i as i32 % 40 - 20);
-            // Some have no third direction, and some not even a second one.
+            // Some matrices have no third singular value above zero, and some not even a second one.
             let m = match i % 5 {
                 0 => outer(columns[0], columns[1]) + outer(columns[2], columns[0]),
                 1 => outer(columns[0], columns[1]),
@@ -320,7 +320,7 @@ mod tests {
             let at = f64::from(bins.from) + (fullest.0 as f64 + 0.5) / Bins::FINE as f64;
             assert!(*fullest.1 == total && (at - scale.log2()).abs() <= 0.5 / Bins::FINE as f64 + 1e-9);
         }
-        // Of a flat sheet that is stretched one way, the nearest rotation is none.
+        // The nearest rotation of a flat sheet that is stretched one way is the identity.
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.0)).collect();
         let wide: Vec<_> = flat.iter().map(|p| p.with_x(2.0 * p.x)).collect();
         let found = energies(&flat, &wide, &triangles);
@@ -328,7 +328,7 @@ mod tests {
             (found.arap - 1.0).abs() < 1e-9 && (found.symmetric_dirichlet - 6.25).abs() < 1e-9,
             "{found:?}"
         );
-        // And of one that is pressed together nothing is left.
+        // Triangles of a sheet that is pressed together collapse, and are counted.
         let gone: Vec<_> = flat.iter().map(|p| p.with_x(0.0)).collect();
         let found = energies(&flat, &gone, &triangles);
         assert!(found.collapsed > 1000 && found.symmetric_dirichlet_max.is_finite(), "{found:?}");

@@ -42,8 +42,8 @@ pub struct OpenMesh {
 }
 
 impl OpenMesh {
-    /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up
-    /// to; nothing where there is no border, or the sum is nothing.
+    /// Plane in the middle of the border at rest, at right angles to the sum of the triangles' normals; none
+    /// where there is no border, or the sum is zero.
     pub fn from_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let sides = sorted(sides(valid.copied()).map(either_way));

@@ -127,7 +127,7 @@ fn nearest_first(squares: [f32; PARTS]) -> [usize; PARTS] {
     keys.map(|key| (key & 3) as usize)
 }
 
-/// Coordinates in which all triangles reach from -1 to 1, where single precision tells what is far.
+/// Coordinates in which all triangles reach from -1 to 1, so that single precision can compare distances.
 struct UnitCube {
     middle: DVec3,
     scale: f64,
@@ -333,7 +333,8 @@ fn grow(
     }
 }
 
-/// Puts so many triangles first that lie farther back along the longest side of what the middles span.
+/// Moves so many triangles to the front: those that lie farther back along the longest side of the box of the
+/// middles.
 fn halve(order: &mut [u32], count: usize, middles: &[DVec3]) {
     if count == 0 || count >= order.len() {
         return;

@@ -258,7 +258,7 @@ impl PairSums {
         Difference {
             vertices: self.vertices,
             rms: rms(&self.squares, self.vertices),
-            // A bin's middle may be beyond all that is in it.
+            // The middle of a bin may be beyond all numbers in the bin.
             p99: self.histogram.quantile(0.99).min(max),
             max,
             normals: (self.normals > 0).then_some(angles),

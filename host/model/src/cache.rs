@@ -119,7 +119,7 @@ impl Cache {
         Self { place, made: Mutex::new(None) }
     }
 
-    /// Bytes of what was made or found; `None` if nothing was needed so far.
+    /// Bytes of the content that was made or found; `None` if nothing was needed so far.
     pub fn bytes(&self) -> Option<u64> {
         self.made.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|made| made.of.bytes)
     }
@@ -244,7 +244,7 @@ impl Cache {
         source.check_unchanged()?;
         let file = SourceFile::of_scratch(scratch, source.path(), bytes);
         let mut of = CacheStamp { source_bytes: source.len(), source_hash, bytes, hash: 0 };
-        // Nobody else will look whether a nameless one is whole.
+        // No later process will check whether a nameless file is whole.
         let Some((output, _claim)) = output else { return Ok((of, file)) };
         of.hash = hash(&file, progress)?;
         let part = Positioned::new(output.part()?);

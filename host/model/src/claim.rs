@@ -3,8 +3,9 @@
 //! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into
 //! it; for a folder it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the
 //! former one, where the system cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by
-//! which it is replaced, are those of large files (`resumable`). What a process that was killed left is
-//! removed by the next one that has the lock; what is locked is somebody's, on this machine or another.
+//! which it is replaced, are those of large files (`resumable`). Files that a killed process left are removed
+//! by the next process that has the lock; a locked file belongs to a process that is at work, on this machine
+//! or another.
 //!
 //! The hidden names are known, so that somebody else may have put something there: links are never followed
 //! or written through, and a file that has other names, or another owner, is replaced by a new one.
@@ -75,7 +76,7 @@ impl OutputFiles {
     }
 
     pub fn remove_journal(&self) {
-        // If it cannot be removed, the next call takes it for what it is: a journal without its part.
+        // A journal that cannot be removed does no harm: the next call sees that its part is missing.
         let _ = remove(&self.journal);
         let _ = remove(&self.new_journal);
     }
@@ -91,7 +92,7 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Claims a file; what was left of an earlier attempt is removed, unless it `resumes` that.
+    /// Claims a file; the files of an earlier attempt are removed, unless this one `resumes` it.
     ///
     /// # Errors
     /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
@@ -163,7 +164,7 @@ impl Claim {
         &self.file
     }
 
-    /// Leaves what is there to a later call.
+    /// Leaves the files that are there to a later call.
     pub(crate) fn keep(&mut self) {
         self.keeps = true;
     }
@@ -241,13 +242,13 @@ pub fn abandon_all() {
     }
 }
 
-/// Opens a part file that is there; `None` if it is there no more, or was removed because it is nobody's.
+/// Opens a part file that is there; `None` if it is gone, or was removed because no process owns it.
 fn open_there(part: &Path, in_the_way: &dyn Fn() -> Error) -> Result<Option<File>> {
     match fs::symlink_metadata(part) {
         Err(_) => return Ok(None),
         Ok(is) if is.is_dir() => return Err(in_the_way()),
         Ok(is) if !is.is_file() => {
-            // A link, a pipe or a device is nobody's part.
+            // A link, a pipe or a device is no part file of a process.
             remove(part).map_err(|e| in_the_way().because(e))?;
             return Ok(None);
         }
@@ -307,7 +308,8 @@ fn create_new(part: &Path, target: &Path) -> io::Result<File> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::OpenOptionsExt;
-        // As any other new file: the system takes away what the user's umask says.
+        // Permissions are those of any other new file, from which the system takes the bits of the user's
+        // umask.
         options.mode(if target.exists() { 0o600 } else { 0o666 });
     }
     let _ = target;

@@ -1,5 +1,5 @@
-//! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
-//! compares or writes colours asks here.
+//! Colours of vertices: their places among the numbers of vertices, and their scale. All code that shows,
+//! compares or writes colours uses this module.
 
 use rayon::prelude::*;
 

@@ -1,11 +1,10 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, semicolons or bars, or by what else is between their
-//! numbers, as colons; in TSV by each tab. Which ones
-//! are the position and the normal is told by the user, by names in a line before the points (a comment,
-//! too), or by the file's extension; without any, the first three are the position. The others are
-//! attributes, if they are numbers in the first point's line. A PTS file says first how many points follow,
-//! and so does each further scan in it.
+//! Columns are separated by blanks and tabs, by commas, semicolons or bars, or by another character between
+//! their numbers, as colons; in TSV by each tab. Which ones are the position and the normal is told by the
+//! user, by names in a line before the points (a comment, too), or by the file's extension; without any, the
+//! first three are the position. The others are attributes, if they are numbers in the first point's line. A
+//! PTS file says first how many points follow, and so does each further scan in it.
 
 use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
@@ -288,7 +287,7 @@ struct ColumnsHead {
     start: u64,
 }
 
-/// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
+/// Opens a file, which is read once for that; `wanted` names its columns, as "x,y,z".
 pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
     let ColumnsHead { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
     let blocks = scan(&source, &columns, begin, start)?;
@@ -468,7 +467,7 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
 const MOST_COLUMNS: usize = 4096;
 const LONGEST_HEADER: usize = 1 << 16;
 
-/// Names in a comment, where they are as many as the columns.
+/// Names in a comment, if there are as many as columns.
 fn in_comment(comment: &[u8], separator: Option<u8>, count: usize) -> Option<Vec<String>> {
     let start = comment.iter().position(|b| !is_space(*b) && !matches!(b, b'#' | b'%' | b'/'))?;
     let text = &comment[start..];

@@ -1,4 +1,4 @@
-//! Errors as values: what is wrong and where, and what to do about it.
+//! Errors as values: the fault and its place, and advice.
 
 use std::fmt;
 use std::path::Path;
@@ -25,11 +25,11 @@ pub enum ErrorKind {
     Plugin,
     /// The user asked to stop.
     Cancelled,
-    /// A mistake in this program: nothing is wrong with what it was given.
+    /// A mistake in this program: its input is not to blame.
     Internal,
 }
 
-/// A failure: one line that says what and where, one that says what to do.
+/// Failure: one line with the fault and its place, one with advice.
 ///
 /// An error is one pointer, as results that may be one are moved, and let go, wherever they are passed on.
 /// What makes one is cold, so that the compiler spends little on the code around it.
@@ -58,7 +58,7 @@ impl std::error::Error for Error {
 }
 
 impl Error {
-    /// A failure of the given kind; `what` names the thing and the place, `hint` what to do.
+    /// Failure of the given kind; `what` names the fault and its place, `hint` the advice.
     #[cold]
     pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self(Box::new(Failure { kind, what: what.into(), hint: hint.into(), source: None }))
@@ -118,7 +118,7 @@ impl Error {
         Self::internal(format!("cannot write {what}: {source}")).because(source)
     }
 
-    /// A file that somebody changed at the same time.
+    /// Error of a file that another process changed while it was read.
     #[cold]
     pub fn changed_while_read(path: &Path) -> Self {
         let hint = "wait until the program that writes it is done, then try again";
@@ -167,7 +167,7 @@ impl Error {
             K::ReadOnlyFilesystem => "write to another disk",
             _ => "check the disk and the path, then try again",
         };
-        // "No such file or directory (os error 2)" without the number, which helps nobody.
+        // "No such file or directory (os error 2)" without the number, which helps no user.
         let text = source.to_string();
         let text = text.split(" (os error").next().unwrap_or(&text).to_lowercase();
         // The system's errors cannot be copied, but their numbers say all.

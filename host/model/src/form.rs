@@ -156,7 +156,7 @@ impl WrittenRows<'_> {
     }
 }
 
-/// Writes a format. What it holds is bounded by a chunk, but for temporary files.
+/// Writer of a format. Its memory is bounded by a chunk, but for temporary files.
 pub(crate) trait Form: Send + Sync {
     /// Number of the model's first attributes that the form needs.
     fn attributes(&self) -> usize;

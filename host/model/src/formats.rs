@@ -8,7 +8,7 @@ use crate::pool::Pool;
 use crate::source::SourceFile;
 use crate::{Error, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
 
-/// Extensions of all formats, by which names say what a file is.
+/// Extensions of all formats, by which a file's name tells its format.
 const EXTENSIONS: [&str; 12] = [
     "ply",
     "obj",

@@ -9,7 +9,7 @@ pub struct Histogram {
 
 /// Bits of a number behind those that determine the bin: 5 of the mantissa's are enough.
 const SHIFT: u32 = 52 - 5;
-/// The first bin: what is less than 2⁻⁴⁰, which is 9.1e-13.
+/// First bin, for numbers below 2⁻⁴⁰, which is 9.1e-13.
 const FIRST: u64 = (1023 - 40) << 5;
 /// Number of bins, up to 2¹⁰.
 const BINS: usize = 50 << 5;

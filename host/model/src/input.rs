@@ -79,7 +79,8 @@ fn check_regular(path: &Path, is: &Metadata) -> Result<()> {
     Ok(())
 }
 
-/// Opens whatever is there without waiting for anybody; not through a link, unless `follow` says so.
+/// Opens the file at a path, of any kind, without waiting for another process; not through a link, unless
+/// `follow` allows it.
 pub(crate) fn open_at_once(path: &Path, follow: bool) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true);

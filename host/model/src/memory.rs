@@ -1,5 +1,5 @@
-//! Memory of this process: the peak of what it really holds, without the pages of files in the cache; what
-//! it gives back; in what pages it is; and how several threads change the numbers of one list.
+//! Memory of this process: the peak of its own memory, without the pages of files in the cache; blocks that
+//! go back to the system; large pages; and lists whose numbers several threads change.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -40,9 +40,9 @@ pub fn return_large_blocks() {
     set_allocator(LARGE, LITTLE_FREE);
 }
 
-/// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to
-/// the system: for work that takes and frees many of them, as pages that the system gives out anew cost more
-/// than what is done in them. What is free in the end goes back to it.
+/// As long as a value of this type exists, large blocks are used again where they would [go
+/// back](return_large_blocks) to the system: for work that takes and frees many of them, as new pages from
+/// the system cost more than the work in them. Blocks that are free in the end go back to the system.
 ///
 /// Memory: blocks that are free meanwhile stay with the thread that took them, 64 MiB of each at most.
 pub struct Reusing(());
@@ -223,7 +223,7 @@ fn told_by(file: &str, name: &str) -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Memory of the machine in bytes; 4 GiB where it does not tell.
+/// Memory of the machine in bytes; 4 GiB where the machine does not tell.
 pub fn of_machine() -> u64 {
     #[cfg(target_os = "linux")]
     let total = told_by("/proc/meminfo", "MemTotal:");
@@ -256,7 +256,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn anonymous_memory_is_as_the_system_tells_in_words() {
-        // Not left out, though nobody reads it.
+        // The list must not be optimised away, though no code reads it.
         let list = std::hint::black_box(vec![1u8; 64 << 20]);
         // Other tests take and free memory between the two looks, but not each time.
         let looks: Vec<[u64; 2]> = (0..10)

@@ -71,7 +71,7 @@ pub struct ModelInfo {
     pub faces: u64,
     /// Whether each vertex has a normal.
     pub has_normals: bool,
-    /// The type of the positions: what holds them exactly, where they are [integers](Self::integers).
+    /// Type of the positions; one that holds them exactly, where they are [integers](Self::integers).
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
@@ -90,12 +90,13 @@ pub struct ModelInfo {
     pub face_bytes: u64,
     /// Scale and offset of the integers as which positions are stored, where they are.
     pub integers: Option<ScaledIntegers>,
-    /// The integers of what is written: with another offset, where one was [chosen](Model::make_room).
+    /// Scale and offset of the integers in files that are written: with another offset, where one was
+    /// [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
     /// Step from one whole number that positions are written as to the next, along three directions at right
     /// angles: the coarsest, where there are several; zero where positions are floats.
     pub step: DVec3,
-    /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
+    /// Ranges of whole numbers that were [chosen](Model::make_room) for files that are written.
     pub ranges: Vec<[i64; 2]>,
     /// Coordinate reference system that the file names, as "EPSG:25832" or the name in its WKT.
     pub crs: Option<String>,
@@ -386,8 +387,8 @@ pub struct Rewriting {
 pub struct PieceRange {
     /// The first piece.
     pub first: u64,
-    /// The one behind the last; to the end of the file where not given, and what is known only then is
-    /// replaced in the outputs.
+    /// Index behind the last piece; the end of the file where not given, and then bytes that are known only
+    /// there are replaced in the outputs.
     pub end: Option<u64>,
 }
 
@@ -454,8 +455,8 @@ pub trait Output: Send {
         Summary::default()
     }
 
-    /// Replaces bytes of pieces that were written: what the file says at its beginning of what comes later.
-    /// Is called after the last piece, and before [`finish`](Self::finish).
+    /// Replaces bytes of pieces that were written, such as numbers at the beginning of a file that depend on
+    /// later pieces. Called after the last piece, and before [`finish`](Self::finish).
     ///
     /// # Errors
     /// The bytes cannot be replaced.
@@ -777,7 +778,7 @@ pub trait Model: Send + Sync {
         None
     }
 
-    /// Bytes of what is [written](Self::rewrite), about.
+    /// Size in bytes of the file that is [written](Self::rewrite), about.
     fn written_bytes(&self) -> u64 {
         self.info().bytes
     }
@@ -815,7 +816,7 @@ pub trait Model: Send + Sync {
     fn keep_positions(&self, _folder: Option<&Path>) {}
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
-    /// vertex of a chunk that was read from this model. What the lists held is gone.
+    /// vertex of a chunk that was read from this model. Former contents of the lists are lost.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -911,7 +912,7 @@ pub trait Model: Send + Sync {
         None
     }
 
-    /// Says what is to turn with the surface from now on.
+    /// Sets the attributes that turn with the surface from now on.
     ///
     /// # Errors
     /// What is declared is not there, or cannot be changed in the format; splats lack a property.
@@ -937,8 +938,8 @@ pub trait Model: Send + Sync {
     /// gradients. Every other byte is copied as it is.
     ///
     /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
-    /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A
-    /// vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
+    /// until it is changed. Pieces that are done, according to `how`, are reported to `edit`, but not edited.
+    /// A vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
     /// that `edit` left as it was.
     ///
     /// As many pieces are worked on as there are threads in the pool, each from reading to writing by one

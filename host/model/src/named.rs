@@ -117,8 +117,8 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
     open_with(path, columns, &Arc::default(), &Silent)
 }
 
-/// Opens a model as [`open_with_columns`] does; what has to be made of it to read it from anywhere goes to a
-/// cache, whose size `progress` is told first.
+/// Opens a model as [`open_with_columns`] does; content that has to be made to read the model from anywhere
+/// goes to a cache, whose size `progress` gets first.
 ///
 /// # Errors
 /// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.
@@ -131,7 +131,8 @@ pub fn open_with(
     ModelName::from_path(path)?.open(columns, cache, progress)
 }
 
-/// Opens what was written of a model of the same format, at a path: a file, or a folder with its tiles.
+/// Opens a version that was written of a model of the same format, at a path: a file, or a folder with its
+/// tiles.
 ///
 /// # Errors
 /// As of [`open_with_columns`].

@@ -1,6 +1,6 @@
-//! Objects: models that are no files but are in a store behind a network, and named by a URL. What talks to
-//! stores is a crate of its own, which a program [installs](install) if it was built with it; here is what
-//! the rest needs of it.
+//! Objects: models that are no files but are in a store behind a network, and named by a URL. The code that
+//! talks to stores is a crate of its own, which a program [installs](install) if it was built with it; this
+//! module has the interface that the other crates need.
 //!
 //! Secrets in a URL, as the signature of one that was signed beforehand, never are part of a path: they are
 //! [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So neither
@@ -46,7 +46,7 @@ pub trait Object: Debug + Send + Sync {
     /// Version of the object, which differs from that of another object that has its name later.
     fn version(&self) -> &str;
 
-    /// Fills a buffer from the byte `offset` on; all of it lies in the object.
+    /// Fills a buffer from the byte `offset` on; the whole range has to lie in the object.
     ///
     /// # Errors
     /// The store cannot be reached, or another version has the name by now.
@@ -107,8 +107,8 @@ fn is_url(text: &str) -> bool {
 /// Whole URLs of objects, with their secrets, by the names without secrets.
 static WHOLE: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
 
-/// The name of an object: its URL without user, password and query, which this process remembers. What is no
-/// URL stays as it is.
+/// Name of an object: its URL without user, password and query, which this process remembers. A name that is
+/// no URL stays as it is.
 pub fn admit(name: impl AsRef<OsStr>) -> OsString {
     let name = name.as_ref();
     let Some(url) = name.to_str().filter(|text| is_url(text)) else { return name.to_owned() };
@@ -123,7 +123,7 @@ fn without_secrets(url: &str) -> String {
     let url = url.split(['?', '#']).next().unwrap_or(url);
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     let (host, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
-    // In Azure's URLs, what stands before the host is the container.
+    // The text before the host in Azure's URLs is the container.
     let host = if scheme.starts_with("http") { host.rsplit('@').next().unwrap_or(host) } else { host };
     format!("{scheme}://{host}{path}")
 }
@@ -186,7 +186,8 @@ pub fn begin(path: &Path) -> Result<BegunUpload> {
     Ok(BegunUpload { upload, path: path.to_owned(), keeps: false })
 }
 
-/// Goes on with an object that was begun: see [`Store::go_on`]. Dropped, it stays what it is.
+/// Goes on with an object that was begun: see [`Store::go_on`]. When the returned upload is dropped, the
+/// object stays as it is.
 ///
 /// # Errors
 /// As of [`begin`].

@@ -21,7 +21,7 @@ pub fn part_bytes(bytes: u64) -> u64 {
 
 /// An object in the making. Dropped before [`commit`](Self::commit), it leaves no trace.
 ///
-/// Memory: three parts, and what is on its way: see [`Upload::send`](object::Upload::send). A part has 8 MiB,
+/// Memory: three parts, and those on their way: see [`Upload::send`](object::Upload::send). A part has 8 MiB,
 /// or a 9000th of an object of more than 70 GB.
 pub struct ObjectOutput {
     path: PathBuf,

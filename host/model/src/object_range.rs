@@ -1,6 +1,6 @@
 //! A range of an object that several processes write at the same time, each a range of its own. The object is
-//! divided into parts of one length. Those that lie wholly in a range are sent by its process; what a range
-//! has of others, at its two edges, is left to the one that puts all together.
+//! divided into parts of one length. Parts that lie wholly in a range are sent by its process; bytes of other
+//! parts, at the two edges of the range, are left to the process that puts all together.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::object::{self, BegunUpload};
 
 /// A range in the making.
 ///
-/// Memory: two parts, and what is on its way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
+/// Memory: two parts, and those on their way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
 pub struct ObjectRange {
     begun: BegunUpload,
     part_bytes: u64,

@@ -10,8 +10,8 @@ use crate::target::folder_of;
 use crate::{Error, Result};
 
 /// A folder in the making: a hidden one beside its place, which takes its name when it is complete. Dropped
-/// before [`commit`](Self::commit), it leaves no trace. As long as it is there, nobody else writes a folder
-/// of this name.
+/// before [`commit`](Self::commit), it leaves no trace. As long as it is there, no other process writes a
+/// folder of this name.
 #[derive(Debug)]
 pub struct OutputFolder {
     claim: Claim,
@@ -27,7 +27,8 @@ impl OutputFolder {
         Self::create_or_go_on(target, false)
     }
 
-    /// Begins the folder `target`; with `resume`, what an earlier call [kept](Self::keep) of it is there.
+    /// Begins the folder `target`; with `resume`, the files that an earlier call [kept](Self::keep) are
+    /// there.
     ///
     /// # Errors
     /// As of [`create`](Self::create).
@@ -40,7 +41,7 @@ impl OutputFolder {
         #[cfg(unix)]
         {
             use std::os::unix::fs::DirBuilderExt;
-            // Nobody sees what will not be seen in the end.
+            // Files in the making can be seen only by those who may see the finished ones.
             builder.mode(if target.exists() { 0o700 } else { 0o777 });
         }
         builder.create(claim.new_folder()).map_err(|e| claim.failed(&e))?;

@@ -1,6 +1,6 @@
 //! Rewriting a file on as many threads as the pool has: each takes the next piece of the file, decodes, edits
-//! and encodes it, and whoever has the piece that comes next in the file writes it and those that wait behind
-//! it. Only taking a piece and writing one are serial.
+//! and encodes it, and the thread that has the next piece of the file writes this piece and those that wait
+//! behind it. Only taking a piece and writing one are serial.
 //!
 //! A thread does not take another piece while too many are between reading and writing, so that what waits
 //! has a bound. Where something fails, no further piece is taken, and those before it are still written:
@@ -248,7 +248,7 @@ struct Queue<'a, 'o> {
     spare: Vec<Vec<u8>>,
 }
 
-/// The outputs, and what is known of the pieces that each has.
+/// Outputs, and the summaries of the pieces that each has.
 struct PieceWriting<'a, 'o> {
     outputs: &'a mut [&'o mut dyn Output],
     summaries: Vec<Summary>,
@@ -444,7 +444,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
     }
 
     fn write(&self, writing: &mut PieceWriting<'_, '_>, ready: &Ready) -> Result<()> {
-        // Here too: what is in flight need not be written any more.
+        // Cancellation is checked here too: pieces that wait need not be written any more.
         self.progress.check()?;
         if let Some(first) = ready.edited {
             self.edit.end(first)?;
@@ -453,7 +453,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         for (version, (output, before)) in outputs.iter_mut().zip(summaries).enumerate() {
             let made = || self.file.make(before, self.edit.is_still(version));
             let made = if ready.is_made { Some(made()?) } else { None };
-            // Of bytes that are copied, there is one version.
+            // Bytes that are copied are the same in all versions.
             let copied = ready.versions.get(version).or(ready.versions.first());
             let Some(bytes) = made.as_ref().or(copied) else { break };
             let none = Summary::default();

@@ -62,13 +62,14 @@ pub(crate) struct PolygonJoin {
     pub(crate) counted: PolygonCounts,
 }
 
-/// Counts of what a [`PolygonJoin`] has met.
+/// Counts of the triangles and faces that a [`PolygonJoin`] was given.
 #[derive(Debug, Default, Clone, Copy)]
 pub(crate) struct PolygonCounts {
     /// Triangles of vertices that there are, and others.
     pub(crate) triangles: u64,
     pub(crate) without_vertex: u64,
-    /// Faces that have any triangles; how many had too many corners; the most corners that one has.
+    /// Faces that have any triangles; (`long`) faces that had too many corners; (`largest`) most corners of a
+    /// face.
     pub(crate) faces: u64,
     pub(crate) long: u64,
     pub(crate) largest: usize,

@@ -14,7 +14,7 @@ impl Positioned {
         Self(file)
     }
 
-    /// Reads what comes, which may be less than the buffer takes.
+    /// Reads some bytes, which may be fewer than the buffer takes.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         std::os::unix::fs::FileExt::read_at(&self.0, buffer, offset)
     }
@@ -46,7 +46,7 @@ impl Positioned {
         Ok(file)
     }
 
-    /// Reads what comes, which may be less than the buffer takes.
+    /// Reads some bytes, which may be fewer than the buffer takes.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         std::io::Read::read(&mut *self.lock_at(offset)?, buffer)
     }

@@ -48,8 +48,7 @@ impl<'a> Glimpse<'a> {
         Self { vertices, read }
     }
 
-    /// The vertex of a number: its position in the model's coordinates, and its normal, zero where it has
-    /// none.
+    /// Vertex of a number: its position in the model's coordinates, and its normal, zero where it has none.
     ///
     /// # Errors
     /// The vertex cannot be read.
@@ -58,7 +57,7 @@ impl<'a> Glimpse<'a> {
     }
 }
 
-/// The other end of a long operation: a progress bar, a window, or nobody.
+/// Receiver of the progress of a long operation, as a progress bar or a window.
 ///
 /// Called from any thread, and often: implementations keep it cheap.
 pub trait Progress: Sync {
@@ -70,7 +69,7 @@ pub trait Progress: Sync {
         self.begin(stage, total_bytes);
     }
 
-    /// A stage begins that is not of bytes, but of parts of whatever kind.
+    /// Begins a stage whose size is not in bytes, but in parts of any kind.
     fn begin_parts(&self, stage: &'static str, total: u64) {
         self.begin(stage, total);
     }
@@ -98,7 +97,7 @@ pub trait Progress: Sync {
     }
 }
 
-/// Progress that nobody watches.
+/// Progress that is not shown.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 

@@ -3,8 +3,8 @@
 //! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and
 //! is locked ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal`
 //! lists the parts of it that are known to be on the disk, each with a checksum, and a key of all that
-//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
-//! journal is not relied on, and what is there is checked before it is.
+//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. Bytes that are not in
+//! the journal are not relied on, and those that are there are checked first.
 //!
 //! Bytes at the beginning of the file that depend on later ones are replaced in the end, once the journal
 //! lists the old and the new ones: the checksums are of the old ones.
@@ -47,10 +47,11 @@ pub struct ResumableFile {
     /// Number of pieces that were written, and (`end`) of bytes.
     pieces: u64,
     end: u64,
-    /// Hash of what is written since the last part, and how many bytes of the model that stands for.
+    /// Hash of the bytes written since the last part, and (`since`) the number of bytes of the model that
+    /// they stand for.
     hash: Xxh3Default,
     since: u64,
-    /// The summary of what is written since the last part.
+    /// Summary of the pieces written since the last part.
     summary: Summary,
     /// Number of bytes of the model that a part stands for when it is over.
     part_bytes: u64,
@@ -67,8 +68,9 @@ pub enum Opened {
 }
 
 impl ResumableFile {
-    /// Begins the file `path`, whose bytes `key` determines. With `resume`, what an earlier call left is
-    /// checked and kept as far as it is good; why it is not, if so, is told to `progress`.
+    /// Begins the file `path`, whose bytes `key` determines. With `resume`, the part that an earlier call
+    /// left is checked and kept as far as it is good; the reason for starting anew, if so, is told to
+    /// `progress`.
     ///
     /// # Errors
     /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
@@ -163,7 +165,7 @@ impl ResumableFile {
         self.syncs = false;
     }
 
-    /// Waits until what was written is on the disk, unless that is left to the caller.
+    /// Waits until all written bytes are on the disk, unless that is left to the caller.
     fn sync(&self) -> io::Result<()> {
         if self.syncs { self.file.file().sync_all() } else { Ok(()) }
     }
@@ -174,8 +176,8 @@ impl ResumableFile {
     }
 
     /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has
-    /// to be called before anything is written to what an earlier call left. Returns how many bytes are
-    /// there.
+    /// to be called before anything is written behind the parts of an earlier call. Returns the number of
+    /// bytes that are there.
     ///
     /// # Errors
     /// The journal cannot be written, or the part file cannot be cut.
@@ -338,7 +340,7 @@ impl Output for ResumableFile {
 
 impl Drop for ResumableFile {
     fn drop(&mut self) {
-        // First, as it writes the journal; what is left goes with the claim.
+        // The recorder ends first, as it writes the journal; the other files go with the claim.
         let _ = self.recorder.finish();
     }
 }
@@ -421,8 +423,8 @@ fn good_parts(
     Ok(parts.len())
 }
 
-/// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume`
-/// the file itself, if an earlier call finished it.
+/// Bytes of the file `path` that the disk holds already: those of its part file, and with `resume` the file
+/// itself, if an earlier call finished it.
 pub fn bytes_there(path: &Path, resume: bool) -> u64 {
     let Ok(places) = OutputFiles::of_file(path) else { return 0 };
     let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
@@ -447,7 +449,7 @@ pub(crate) fn forget(path: &Path) {
     }
 }
 
-/// The journal: what is known to be on the disk.
+/// The journal: parts that are known to be on the disk.
 #[derive(Debug, Clone, PartialEq)]
 struct Journal {
     /// Hash of all that determines the bytes.
@@ -570,7 +572,7 @@ impl Journal {
 
     /// Reads the journal in its place, if there is one; `Some(None)` if it is damaged.
     fn read(places: &OutputFiles) -> Option<Option<Self>> {
-        // Not through a link that somebody else put there.
+        // The journal is not read through a link, which another process may have put there.
         let file = open_at_once(&places.journal, false).ok()?;
         let mut bytes = Vec::new();
         if !file.metadata().is_ok_and(|is| is.is_file())
@@ -606,7 +608,8 @@ impl JournalRecorder {
         Self { idle: Some((file, places)), busy: None }
     }
 
-    /// Records what is written up to now. An earlier failure is told here, or in [`finish`](Self::finish).
+    /// Records the parts written up to now. An earlier failure is returned here, or by
+    /// [`finish`](Self::finish).
     fn record(&mut self, journal: Journal) -> io::Result<()> {
         if let Some((file, places)) = self.idle.take() {
             let (send, receive) = sync_channel::<Journal>(1);
@@ -759,7 +762,8 @@ mod tests {
             }
             patch(&mut file);
             match stage {
-                // Before anything was replaced, in the midst of it, when all was, and when it was said so.
+                // The process may be killed before anything was replaced, in the midst of it, when all was
+                // replaced, and when that was recorded.
                 0 => {}
                 1 | 2 => {
                     file.recorder.finish().unwrap();

@@ -197,7 +197,7 @@ impl ResumableFolder {
         folders.iter().try_for_each(|inner| sync_folder(&folder.join(inner)))
     }
 
-    /// Leaves what is recorded to a later call, if there is anything.
+    /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(self) {
         let Self { folder, finished, current, is_in_place, .. } = self;
         let in_part = current.as_ref().is_some_and(|file| file.boundaries().next().is_some());

@@ -180,7 +180,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Leaves what is recorded to a later call, if there is anything.
+    /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(self) {
         match self {
             Self::File(file) => file.keep(),

@@ -22,7 +22,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A new file in `folder`. If that fails, or what is done with it later, the error's hint ends with
+    /// A new file in `folder`. If creating it fails, or a later operation on it, the error's hint ends with
     /// `advice`.
     ///
     /// # Errors
@@ -32,8 +32,8 @@ impl Scratch {
         Self::from_file(file, folder, advice)
     }
 
-    /// An error where the disk of `folder` has no room for so many bytes of temporary files: better known
-    /// before much is done than in the midst of it. Its hint ends with `advice`.
+    /// Error where the disk of `folder` has no room for so many bytes of temporary files: better known before
+    /// long work than in the midst of it. The error's hint ends with `advice`.
     ///
     /// # Errors
     /// The disk has no room.
@@ -63,7 +63,7 @@ impl Scratch {
         self.file.write_all_at(bytes, offset).map_err(|e| refused("write", &self.folder, self.advice, &e))
     }
 
-    /// Fills `bytes` with what stands at a place.
+    /// Fills `bytes` from a place of the file.
     ///
     /// # Errors
     /// The file is shorter, or the operating system refuses.
@@ -97,8 +97,8 @@ impl Scratch {
         map.map(Mapped::new).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// The file as memory that can be written. All of it must have been written before, so that the disk has
-    /// room for it.
+    /// The file as memory that can be written. All bytes of the file must have been written before, so that
+    /// the disk has room for them.
     ///
     /// # Errors
     /// The operating system refuses.

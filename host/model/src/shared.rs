@@ -37,7 +37,7 @@ impl SharedFile {
         self.at
     }
 
-    /// Brings what was written to the disk; behind it, there is nothing, if it is the `end`.
+    /// Brings the written bytes to the disk; with `is_end`, the file is cut off behind them.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.

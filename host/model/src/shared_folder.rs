@@ -153,12 +153,12 @@ pub fn become_output(folder: &Path, names: &[PathBuf], output: &Path, progress: 
     }
     sync_folders(place.path(), names).map_err(|e| Error::io("write", output, &e))?;
     place.commit()?;
-    // The output is there: what cannot be removed hurts nobody.
+    // The output is there: files that cannot be removed hurt nobody.
     let _ = remove(folder);
     Ok(())
 }
 
-/// Removes what a process left that was killed when the folder had become the output.
+/// Removes the folder that a process left which was killed when the folder had become the output.
 ///
 /// # Errors
 /// Another process writes the output, or the operating system refuses.
@@ -222,7 +222,7 @@ mod tests {
                 assert_eq!(fs::read(output.join(name)).unwrap(), [b'1', text[1], text[2]]);
             }
             assert_eq!(listed(place.path()), ["out"]);
-            // Of the same size, and another one.
+            // The file has the same size, and is another one.
             crate::output::write_file(&output.join("c"), b"102").unwrap();
             assert!(!other[0].is(&output.join("c")) && other[0].fits(&output.join("c")));
         }

@@ -1,4 +1,4 @@
-//! Normals that several vertices share: what they become where these turn differently.
+//! Normals that several vertices share: their new direction where these vertices turn differently.
 
 use glam::{DVec3, Vec3};
 

@@ -112,7 +112,8 @@ impl SourceFile {
         self.len
     }
 
-    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end of the file.
+    /// Fills `buffer` from `offset` on; returns the number of bytes read, which is less than the buffer's
+    /// length only at the end of the file.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
         let again;

@@ -16,7 +16,7 @@ const MAX_LINKS: usize = 40;
 /// The path is a folder or a device, or an object, or links lead nowhere.
 pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     check_file("write", path)?;
-    // Asked of the path: what it leads to may have no name, as a pipe behind `/dev/stdout`.
+    // The check is on the path itself: its target may have no name, as a pipe behind `/dev/stdout`.
     let is = fs::metadata(path);
     let target = target_of(path)?;
     match is {
@@ -88,7 +88,7 @@ fn follow_links(path: &Path) -> Result<PathBuf> {
     ))
 }
 
-/// The folder for temporary files of what is written: the one that holds it, or for an object the system's.
+/// Folder for temporary files of an output: the one that holds the output, or for an object the system's.
 pub fn scratch_folder(path: &Path) -> PathBuf {
     if is_object(path) { std::env::temp_dir() } else { folder_of(path).to_owned() }
 }

@@ -1,8 +1,7 @@
 //! A model that is made of several files, as a survey of tiles: their vertices are numbered one after the
 //! other, and each file is rewritten to one of its own, as if it was alone.
 //!
-//! Each tile is a model by itself, of whatever format. Its file is [closed](crate::pool) while others are
-//! read.
+//! Each tile is a model by itself, of any format. Its file is [closed](crate::pool) while others are read.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -190,7 +189,7 @@ impl TiledModel {
         names.join(", ")
     }
 
-    /// Says in what the tiles differ.
+    /// Notes the differences between the tiles.
     fn tell(&self, progress: &dyn Progress) {
         let systems = distinct(self.infos().map(|info| &info.crs));
         if systems.len() > 1 {
@@ -282,7 +281,7 @@ fn too_many(path: &Path) -> Error {
     )
 }
 
-/// The folder that all files are in, at whatever depth, where such is known.
+/// Folder that all files are in, at any depth, if there is one.
 fn folder_of_all(files: &[PathBuf]) -> PathBuf {
     let mut folders = files.iter().map(|file| folder_of(file));
     let mut common = folders.next().unwrap_or(Path::new(".")).to_owned();
@@ -431,8 +430,8 @@ impl VertexReader for TileReader<'_> {
     }
 }
 
-/// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be
-/// read on from any mark, but not from one to another.
+/// Reads the faces of one tile after the other. The byte between the faces of two tiles is of no face: faces
+/// can be read on from any mark, but not from one tile to another.
 struct TileFaces<'a> {
     tiles: std::slice::Iter<'a, TilePart>,
     open: Option<(&'a TilePart, Box<dyn FaceReader + 'a>)>,
@@ -617,7 +616,7 @@ impl Model for TiledModel {
             changes.extend(part.model.make_room(&own, margin)?);
         }
         let attributes = std::mem::take(&mut self.info.attributes);
-        // Of the first tile, by which the others are told apart.
+        // The info is that of the first tile, by which the others are told apart.
         if let Some(first) = self.tiles.first() {
             self.info = first.model.info().clone();
         }
@@ -638,7 +637,8 @@ impl Model for TiledModel {
     }
 
     fn division(&self, normals: Normals) -> Option<Division> {
-        // Of others, the bytes of their vertices are not known beforehand, or they have to be unpacked first.
+        // Tiles that cannot be divided have vertices whose bytes are not known beforehand, or have to be
+        // unpacked first.
         let are_divided = self.tiles.iter().all(|part| part.model.division(normals).is_some());
         let pieces = self.tiles.len() as u64;
         are_divided.then_some(Division { pieces, vertices: 0..pieces, in_place: true })
@@ -667,7 +667,7 @@ impl Model for TiledModel {
             let Rewriting { normals, pieces_at_once, .. } = how;
             let of_tile = Rewriting { normals, pieces_at_once, ..Rewriting::default() };
             if (number as u64) < how.files_done {
-                // Tiles that are done are read all the same, for what they are compared with.
+                // Tiles that are done are read all the same, for the checks that compare them.
                 let nothing = Rewriting { pieces_done: u64::MAX, ..of_tile };
                 part.model.rewrite(&mut [], nothing, edit, progress)?;
                 continue;

@@ -1,6 +1,6 @@
-//! Writing long files past the operating system's page cache, where it lets us: what is written once and not
-//! soon read need not be copied into memory that other things could use. Bytes are collected, and whole
-//! blocks of them go to the disk as they are.
+//! Writing long files past the operating system's page cache, where the system allows it: bytes that are
+//! written once and not read soon need not be copied into memory that other things could use. Bytes are
+//! collected, and whole blocks of them go to the disk as they are.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -39,12 +39,12 @@ impl UncachedFile {
         Self { disk, buffer: AlignedBuffer::default(), offset: 0, begin: 0, behind: None }
     }
 
-    /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
+    /// The file, in which bytes written after the last [`flush`](Self::flush) may be missing.
     pub(crate) fn file(&self) -> &File {
         &self.disk.file
     }
 
-    /// Cuts the file off at `end`, and goes on there. What was not [flushed](Self::flush) is lost.
+    /// Cuts the file off at `end`, and goes on there. Bytes that were not [flushed](Self::flush) are lost.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -58,8 +58,8 @@ impl UncachedFile {
         self.disk.file.read_exact(self.buffer.take_room(of_block))
     }
 
-    /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. What was not
-    /// [flushed](Self::flush) is lost.
+    /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. Bytes that were not
+    /// [flushed](Self::flush) are lost.
     ///
     /// # Errors
     /// What was written before could not be.
@@ -152,7 +152,7 @@ impl AlignedBuffer {
     /// Room for the next `count` bytes, which have to fit into the buffer.
     fn take_room(&mut self, count: usize) -> &mut [u8] {
         if self.memory.is_empty() {
-            // Half of it, or nearly, is never touched.
+            // Half of the memory, or nearly, is never touched.
             self.memory = zeros(BUFFER + LARGE_PAGE);
             self.origin = self.memory.as_ptr().align_offset(LARGE_PAGE).min(LARGE_PAGE);
         }
@@ -161,7 +161,7 @@ impl AlignedBuffer {
         &mut self.memory[at..at + count]
     }
 
-    /// Puts what is behind the first `count` bytes to the front.
+    /// Moves the bytes behind the first `count` to the front.
     fn forget(&mut self, count: usize) {
         self.memory.copy_within(self.origin + count..self.origin + self.filled, self.origin);
         self.filled -= count;
@@ -314,7 +314,7 @@ mod tests {
     enum Action {
         Write(usize),
         Flush,
-        /// Cut off at this part of what is there.
+        /// Cuts the file off at this part of its length.
         Back(f64),
     }
 

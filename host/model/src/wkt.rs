@@ -1,4 +1,5 @@
-//! Coordinate reference systems as well-known text, of OGC 01-009 or ISO 19162 (WKT 2): what is told of one.
+//! Coordinate reference systems as well-known text, of OGC 01-009 or ISO 19162 (WKT 2): their names and
+//! units.
 
 /// Nodes that are a system of which positions are.
 const SYSTEMS: [&str; 14] = [
@@ -29,7 +30,7 @@ const MOST_UNITS: usize = 4;
 /// Most nodes within each other; deeper ones belong to none that matters here.
 const DEEPEST: usize = 32;
 
-/// A text in one line, without what ends texts in files; `None` where nothing is left of it.
+/// A text in one line, without the characters that end texts in files; `None` where nothing is left of it.
 pub(crate) fn in_one_line(text: &str) -> Option<String> {
     let line = text.trim_matches(|c: char| c == '\0' || c.is_whitespace());
     let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();

@@ -40,7 +40,7 @@ fn main() -> std::result::Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A surface, and what a first pass over it tells.
+/// Surface, and the results of a first pass over it.
 struct Model<'a> {
     surface: &'a Surface,
     bounds: [DVec3; 2],

@@ -46,7 +46,7 @@ fn touched(low: f64, high: f64, count: usize) -> Option<[usize; 2]> {
 /// The normal of a triangle on the side that is seen, and its slope, in depths for each width.
 fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let face = (b - a).cross(c - a);
-    // Of a triangle without an area, any side will do: that towards the eye.
+    // A triangle without an area has no side: any will do, such as that towards the eye.
     let face = face.try_normalize().unwrap_or_else(|| -a.normalize_or_zero());
     let middle = (a + b + c) / 3.0;
     let face = if face.dot(middle) > 0.0 { -face } else { face };
@@ -186,7 +186,7 @@ impl TriangleRaster {
         self.draw(canvas, camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
     }
 
-    /// Second pass: what lies on the nearest surface.
+    /// Second pass: blends the triangles on the nearest surface.
     pub fn blend(
         &mut self,
         canvas: &mut SplatBuffer,

@@ -48,7 +48,7 @@ impl Ground {
 
     fn add_place(&mut self, p: DVec3) {
         let above = p.y - self.height;
-        // Nor is what has no finite height.
+        // A place without a finite height casts no shadow, either.
         if !(above >= 0.0 && p.is_finite()) {
             return;
         }

@@ -36,7 +36,7 @@ pub fn scale_color(t: f32) -> [u8; 3] {
     let part = x - i as f32;
     std::array::from_fn(|c| {
         let (from, to) = (f32::from(SCALE[i][c]), f32::from(SCALE[i + 1][c]));
-        // As `round` does it, which calls a library for each.
+        // Rounding as `round` does, which calls a library for each number.
         (from + (to - from) * part + 0.5) as u8
     })
 }

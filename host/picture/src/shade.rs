@@ -130,7 +130,7 @@ impl SeenSurface {
                 for [dx, dy, share] in &spirals[turn] {
                     let radius = 1.0 + pixels * share;
                     let (sx, sy) = (x as f32 + radius * dx, y as f32 + radius * dy);
-                    // As `round` does it, which calls a library for each.
+                    // Rounding as `round` does, which calls a library for each number.
                     let [sx, sy] = [sx, sy].map(|s| (s + if s < 0.0 { -0.5 } else { 0.5 }) as isize);
                     if let Some(there) = self.point(sx, sy) {
                         let way = there - here;

@@ -55,7 +55,7 @@ impl Pixel {
         weight: 0.0,
     };
 
-    /// A surface hides what is farther.
+    /// Notes a surface at a depth, which hides all that is farther.
     #[inline]
     pub fn come_near(&mut self, depth: f32) {
         self.nearest = self.nearest.min(depth);
@@ -67,7 +67,7 @@ impl Pixel {
         self.nearest.is_finite() && depth <= self.nearest + behind
     }
 
-    /// Adds to what lies on the nearest surface.
+    /// Adds a splat on the nearest surface.
     #[inline]
     pub fn blend(&mut self, weight: f32, depth: f32, normal: Vec3, color: Vec3) {
         self.weight += weight;
@@ -254,7 +254,7 @@ impl SplatBuffer {
         );
     }
 
-    /// Second pass: what lies on the nearest surface.
+    /// Second pass: blends the splats on the nearest surface.
     pub fn blend(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
         self.draw(
@@ -314,7 +314,7 @@ impl SplatBuffer {
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];
                         for (x, pixel) in (left..right).zip(&mut row[left..right]) {
-                            // Of what is hidden no more has to be known.
+                            // A hidden splat needs no further work.
                             if !may_show(pixel, splat) {
                                 continue;
                             }
@@ -341,7 +341,7 @@ impl SplatBuffer {
 
 /// Index of the things of a batch that each band of a picture shows, in their order.
 ///
-/// Memory: 4 bytes for each band that one is in.
+/// Memory: 4 bytes for each band that a thing is in.
 #[derive(Default)]
 pub(super) struct Bands {
     starts: Vec<u32>,
@@ -403,7 +403,7 @@ mod tests {
             let camera = PictureCamera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], yaw, 0.4, 1.5);
             let point = |i: u32| SurfaceDisc {
                 position: DVec3::new(number(i, 1.7), number(i, 2.9), number(i, 5.3)),
-                // Some have none.
+                // Some points have no normal.
                 normal: Vec3::new(number(i, 3.1) as f32, number(i, 7.7) as f32, number(i, 0.9) as f32)
                     * f32::from(u8::from(!i.is_multiple_of(5))),
                 color: [0; 3],

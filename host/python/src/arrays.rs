@@ -1,5 +1,5 @@
-//! Arrays of numpy's, and points of ours. What comes in is checked by `simod._arrays`, which names what is
-//! wrong with it.
+//! Arrays of numpy's, and points of ours. Arrays from Python are checked by `simod._arrays`, which names the
+//! fault.
 
 use bytemuck::allocation::cast_vec;
 use glam::{DVec3, Vec3};

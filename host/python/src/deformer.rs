@@ -1,5 +1,5 @@
-//! Python functions as deformers: what they need of the plugin interface, so that regions, masks, sessions
-//! and comparisons treat them as any other.
+//! Python functions as deformers: the parts of the plugin interface that they need, so that regions, masks,
+//! sessions and comparisons treat them as any other.
 
 use glam::DVec3;
 use numpy::{PyArray1, PyArray2};
@@ -99,7 +99,7 @@ impl Function {
         arrays::points(&format!("what {} returned", self.description.id), &moved, Some(count))
     }
 
-    /// Calls with the lock of the interpreter; what it raises is kept.
+    /// Calls with the lock of the interpreter, and keeps an exception as the cause of the error.
     fn with_lock<T>(&self, call: impl FnOnce(Python<'_>) -> PyResult<T>) -> PluginResult<T> {
         let called = Python::try_attach(|py| {
             call(py).map_err(|e| {

@@ -1,4 +1,4 @@
-//! Models of any size: what they are, their vertices chunk by chunk, sampling, and writing them deformed.
+//! Models of any size: their info, their vertices chunk by chunk, sampling, and writing them deformed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -39,7 +39,7 @@ pub struct Model {
 /// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. No vertex is
 /// read yet.
 ///
-/// `columns` says what the columns of a text are, as "x,y,z,_,nx,ny,nz", where its first line does not.
+/// `columns` names the columns of a text, as "x,y,z,_,nx,ny,nz", where its first line does not.
 ///
 /// Raises FileError or FormatError.
 #[pyfunction]
@@ -235,7 +235,7 @@ impl Chunks {
                 let mut chunk = VertexChunk::default();
                 while reader.read(&mut chunk)? {
                     if send.send(Ok(std::mem::take(&mut chunk.positions))).is_err() {
-                        // Nobody reads on.
+                        // No code reads on.
                         break;
                     }
                 }

@@ -1,4 +1,4 @@
-//! Samples as arrays: what any program may deform, and plugins do.
+//! Samples as arrays, which any program may deform, as plugins do.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -384,8 +384,8 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Takes back the last `apply` or `refine`, with what was written to `points` since. Whether there was
-    /// one.
+    /// Takes back the last `apply` or `refine`, with all that was written to `points` since. Returns whether
+    /// there was one.
     fn undo(&self, py: Python<'_>) -> PyResult<bool> {
         let mut state = self.state(py);
         let now = state.look(py)?;
@@ -395,7 +395,7 @@ impl Samples {
         Ok(true)
     }
 
-    /// Does again what was taken back last. Whether there was something.
+    /// Does again the step that was taken back last. Returns whether there was one.
     fn redo(&self, py: Python<'_>) -> PyResult<bool> {
         let mut state = self.state(py);
         let now = state.look(py)?;

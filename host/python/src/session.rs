@@ -16,8 +16,8 @@ use crate::options::{reconstruction, record};
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// A session file: a model, how it is sampled, the steps of an edit, and where the result goes. Steps may
-/// name functions that `simod.deformer` registered.
+/// A session file: a model, its sampling, the steps of an edit, and the path of the result. Steps may name
+/// functions that `simod.deformer` registered.
 #[pyclass(module = "simod", frozen)]
 pub struct Session {
     path: PathBuf,

@@ -16,8 +16,8 @@ use crate::options::reconstruction;
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// Writes the plan of a session to a folder; its units, where the result goes, and what its samples are of,
-/// as JSON. `whole` samples have all that samples of a model have, and not only what the steps need.
+/// Writes the plan of a session to a folder; returns its units, the path of the result, and a name of its
+/// samples, as JSON. `whole` samples have all that samples of a model have, and not only what the steps need.
 #[pyfunction(name = "_plan")]
 #[pyo3(signature = (session, folder, out = None, *, units, model = None, normals = "transform", method = "blended-jets",
     choose_offset = false, lossy = false, overwrite = false, whole = false))]

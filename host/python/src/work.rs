@@ -22,13 +22,13 @@ static GOING_ON: Mutex<u64> = Mutex::new(0);
 static ONE_LESS: Condvar = Condvar::new();
 static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// The process that has the threads of the pool; 0 where nobody asked for them yet.
+/// Number of the process that has the threads of the pool; 0 where they were not started yet.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
 /// Exception that a Python function called by work raised last.
 static RAISED: Mutex<Option<PyErr>> = Mutex::new(None);
 
-/// Keeps what a function raised, to be the cause of what the work comes to.
+/// Keeps the exception of a function, to be the cause of the work's error.
 pub fn keep_raised(error: PyErr) {
     *locked(&RAISED) = Some(error);
 }
@@ -211,15 +211,15 @@ fn failed(py: Python<'_>, error: &Error) -> PyErr {
     exception
 }
 
-/// Passes on what the user should know though the work was done.
+/// Passes on notes for the user on work that was done.
 pub fn warn(py: Python<'_>, notes: &[String]) -> PyResult<()> {
     let category = py.import("simod._errors")?.getattr("SimodWarning")?;
     let warn = py.import("warnings")?.getattr("warn")?;
     notes.iter().try_for_each(|note| warn.call1((note, &category, 1)).map(drop))
 }
 
-/// Does work on threads that are there: those of the pool are not in a process that was forked from the one
-/// that made them.
+/// Does work on threads that exist: those of the pool do not in a process that was forked from the one that
+/// made them.
 fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let here = std::process::id();
     let owner = OWNER.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed).unwrap_or_else(|o| o);

@@ -1,4 +1,4 @@
-//! Other processes of this program, which may come to any end.
+//! Other processes of this program, which may end in any way.
 
 mod ended;
 
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use simod_model::{Error, Progress, Result};
 
-/// Bytes that are kept of what a process prints: the last ones.
+/// Number of bytes that are kept of the text that a process prints: the last ones.
 const KEPT: usize = 64 << 10;
 
 /// The end of a process.
@@ -154,11 +154,10 @@ pub fn end_with(parent: u32) {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Signal, set_parent_process_death_signal};
-        // No reason not to go on where it does not work.
+        // A system on which this does not work is no reason to stop.
         let _ = set_parent_process_death_signal(Some(Signal::KILL));
     }
-    // The parent may have ended before the signal was asked for. Whoever is the parent then, it is another
-    // one.
+    // The parent may have ended before the signal was asked for: the parent is another process then.
     #[cfg(unix)]
     if std::os::unix::process::parent_id() != parent {
         std::process::exit(1);

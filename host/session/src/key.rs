@@ -1,5 +1,5 @@
-//! Keys of what is kept from one evaluation to the next: hashes of all that a result came from, number by
-//! number and bit by bit. How something is printed has no say.
+//! Keys of results that are kept from one evaluation to the next: hashes of all that a result came from,
+//! number by number and bit by bit. The printed form of a value does not matter.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -352,7 +352,7 @@ mod tests {
         let (step, notes) = becomes("state-version = 2\nparams = { count = 4 }");
         assert_eq!(step.params, "count = 5".parse().unwrap(), "whole numbers stay whole");
         assert_eq!(notes.len(), 1);
-        // A step that is up to date is not changed, but for an alias that somebody still uses.
+        // A step that is up to date is not changed, but for an alias that is still used.
         let (step, notes) = becomes("state-version = 3\nparams = { size = 4, count = 1 }");
         assert_eq!(step.params, "radius = 4\ncount = 1".parse().unwrap());
         assert_eq!(notes.len(), 1);

@@ -15,8 +15,8 @@ pub struct Motion {
     pub axis: DVec3,
     /// The angle, right-handed.
     pub degrees: f64,
-    /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a
-    /// region, and where it is at rest for a handle that a plugin placed.
+    /// Point that rotation and scaling leave in place. Unless given, it is the model's own zero for a region,
+    /// and the place at rest for a handle that a plugin placed.
     pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
     pub scale: f64,

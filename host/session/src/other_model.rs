@@ -1,4 +1,5 @@
-//! Other models than the one that is deformed, as plugins take them: points, in its local coordinates.
+//! Other models than the one that is deformed, as plugins take them: points, in the local coordinates of the
+//! deformed model.
 //!
 //! A model is sampled, to as many points as the plugin takes. Samples that the user has are taken as they
 //! are, so that each can be told by its id: the folder of a sampled model, and files of samples that anything
@@ -156,7 +157,7 @@ fn too_many(count: u64) -> Error {
     Error::argument(what, "give the model, which is sampled, or fewer samples")
 }
 
-/// Positions and ids of a file of samples; nothing where it is none: where there are no ids, or not one for
+/// Positions and ids of a file of samples; none where the file is no such: it has no ids, or not one for
 /// each.
 ///
 /// # Errors

@@ -10,7 +10,7 @@ use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKin
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-/// Longest file that a plugin is given: it may read all of it.
+/// Longest file in bytes that a plugin is given: the plugin may read all of it.
 const LONGEST_FILE: u64 = 1 << 30;
 
 /// Most points that a plugin takes of another model.
@@ -43,15 +43,15 @@ pub enum ParamValue {
     File(Option<PathBuf>),
 }
 
-/// All parameters of a plugin, in its order: what the user gave, and defaults.
+/// Parameters of a plugin, in its order: those that the user gave, and defaults.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Params {
     values: Vec<(String, ParamKind, ParamValue)>,
 }
 
 impl Params {
-    /// Checks what the user gave (`plugin` names it in errors) against the descriptions. Paths are relative
-    /// to `folder`.
+    /// Checks the parameters that the user gave (`plugin` names the plugin in errors) against the
+    /// descriptions. Paths are relative to `folder`.
     pub fn check(
         plugin: &str,
         descriptions: &[ParamDesc],
@@ -295,7 +295,7 @@ fn default_number(d: &ParamDesc) -> String {
     d.default_numbers.first().copied().unwrap_or_default().to_string()
 }
 
-/// The whole number in range that is nearest to what was given, or the default where that is no number.
+/// Whole number in range that is nearest to the given number, or the default where that is no number.
 fn nearest_whole(d: &ParamDesc, value: &toml::Value) -> String {
     let [min, max] = d.hard_range;
     match number(value).filter(|x| x.is_finite()) {
@@ -378,7 +378,7 @@ fn numbers(value: &toml::Value) -> Option<Vec<[f64; 2]>> {
     value.as_array()?.iter().map(array).collect()
 }
 
-/// A file that is there, of a name that the plugin takes; or what is wrong, and what to do.
+/// File that is there, of a name that the plugin takes; or the fault and the advice.
 fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamValue, (String, String)> {
     let id = &d.id;
     if path.is_empty() {
@@ -403,7 +403,7 @@ fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamVa
     absolute(d, &full)
 }
 
-/// Another model that is there, or the folder of a sampled one; what it is shows when it is read.
+/// Another model that is there, or the folder of a sampled one; its content is checked when it is read.
 fn other_model(
     d: &ParamDesc,
     folder: &Path,
@@ -419,7 +419,7 @@ fn other_model(
     absolute(d, &full)
 }
 
-/// A path that is there, whatever the current folder is.
+/// Absolute path of a file that is there, independent of the current folder.
 fn absolute(d: &ParamDesc, path: &Path) -> std::result::Result<ParamValue, (String, String)> {
     let id = &d.id;
     let full = path.canonicalize().map_err(|e| {

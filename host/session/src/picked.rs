@@ -1,5 +1,5 @@
-//! A part of a model that a hand selected, as geometry: points that are in it, and points next to them that
-//! are not.
+//! A part of a model that the user selected by hand, as geometry: points inside, and points next to them
+//! outside.
 
 use crate::key::{Key, Keyed};
 use crate::side_file::{MOST_IN_SESSION, Reference, SideFileKind, write as write_file};

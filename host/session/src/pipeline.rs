@@ -184,7 +184,7 @@ pub(crate) fn note_losses(converted: &Converted, progress: &dyn Progress) {
 pub struct Running<'a> {
     /// Options of the transfer of the deformation.
     pub how: Reconstruction<'a>,
-    /// A file for what becomes of each vertex: see [`Version::diagnostics`].
+    /// File for the diagnostics of each vertex: see [`Version::diagnostics`].
     pub diagnostics: Option<&'a Path>,
     /// [`Run::transfer_error`] will be asked for.
     pub measure: bool,
@@ -244,7 +244,7 @@ pub struct ExactCost {
     pub seconds: f64,
 }
 
-/// Points that are evaluated to tell what all vertices will take.
+/// Number of points that are evaluated to estimate the time for all vertices.
 const TRIED: usize = 4096;
 
 /// A finished run of a session.
@@ -306,7 +306,7 @@ impl Run {
         let cache = &Arc::new(Cache::nameless(folder));
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
         let mut model = open(session, cache, progress)?;
-        // Before it is sampled, as what is declared may not be there.
+        // Attributes are declared before sampling, as a declared one may not be there.
         let follow = &sidecar::follow(&mut *model, follow)?;
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
         let by = |sampling: &Sampling| {
@@ -412,8 +412,8 @@ pub(crate) fn needed(session: &SessionFile, stack: &Stack, refines: bool) -> Ski
     Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() }
 }
 
-/// The session's model as what the output is named, if that is another format; before it is sampled, as
-/// something may be lost that shall not.
+/// The session's model in the format that the output's name has, if that is another one; before sampling, as
+/// losses may not be allowed.
 pub(crate) fn converted(
     session: &SessionFile,
     output: &Path,
@@ -432,7 +432,7 @@ pub(crate) fn converted(
     Converted::new(model, output, how, progress).map(Some)
 }
 
-/// Tells what the evaluation of all vertices will take, by that of some samples.
+/// Tells the expected time of evaluating all vertices, by that of some samples.
 fn told_cost(
     deformed: &DeformedSamples,
     model: &dyn Model,

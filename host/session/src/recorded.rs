@@ -1,7 +1,8 @@
 //! Steps and their parts in recordings of edits: each as a session has it, by the writer and the reader of
 //! sessions. Of a step, the folder that its files are seen from is recorded as well.
 //!
-//! Former programs recorded them field by field; what they wrote is read by what is derived for the types.
+//! Former programs recorded steps field by field; their recordings are read by the derived implementations of
+//! the types.
 
 use crate::edit::seen_from;
 use crate::motion::Motion;
@@ -13,7 +14,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Reads what is recorded: as a session has it, or as former programs wrote it, which `is_former` tells.
+/// Reads a recording: as a session has it, or as former programs wrote it, which `is_former` tells.
 fn read<'de, D: Deserializer<'de>, Table: for<'t> Deserialize<'t>, T>(
     from: D,
     is_former: impl Fn(&Value) -> bool,
@@ -81,7 +82,7 @@ impl<'de> Deserialize<'de> for Refine {
 
 impl Serialize for Region {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        // A region that was made another one than a handle may still say how it moved, which nobody reads.
+        // A region that was made another one than a handle may still have a motion, which is not used.
         let motion = if self.role == Role::Handle { self.motion } else { Motion::default() };
         let region = Self { motion, ..self.clone() };
         let around = Deformation { regions: vec![region], ..Deformation::by_plugin(ANY) };

@@ -13,7 +13,7 @@ use std::path::{Component, Path, PathBuf};
 /// Most bytes of a session; a model that is given in its place may be longer.
 pub(crate) const LARGEST: u64 = 16 << 20;
 
-/// The format's version: raised when what a session says could not be understood any more by former versions.
+/// Version of the format: raised when sessions could not be understood any more by former programs.
 pub(crate) const VERSION: i64 = 2;
 
 /// Version of sessions that declare nothing to follow, have no tiles, and whose steps have no titles, amounts
@@ -74,7 +74,7 @@ pub struct SessionTime {
     pub frame: Option<i64>,
     /// Frames in a second; 24 where that is not said.
     pub rate: Option<f64>,
-    /// Seconds since the beginning; by frame and rate where they are not said.
+    /// Seconds since the beginning; by frame and rate where not given.
     pub seconds: Option<f64>,
 }
 
@@ -144,7 +144,7 @@ impl SessionFile {
     }
 }
 
-/// The text of a small file; `what` it should be, and what to give, for errors.
+/// Text of a small file; `what` names the kind of file, and `hint` the file to give, for errors.
 pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     input::read_text(path, LARGEST).map_err(|e| match e.kind() {
         ErrorKind::Format => {

@@ -146,7 +146,7 @@ fn subsequence(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     if rows.saturating_mul(columns) > MOST_PAIRS {
         return found;
     }
-    // Lengths for what is left from a row and a column on.
+    // Lengths of the common subsequences of the rests from a row and a column on.
     let mut lengths = vec![0u32; (rows + 1) * (columns + 1)];
     let at = |row: usize, column: usize| row * (columns + 1) + column;
     for row in (0..rows).rev() {

@@ -51,7 +51,7 @@ impl SessionFile {
     }
 }
 
-/// A path that a session in a folder names. What is secret in the URL of an object is not remembered in it.
+/// Path that a session in a folder names. Secrets in the URL of an object are not remembered in the path.
 fn named_from(folder: &Path, path: &Path) -> PathBuf {
     input::seen_from(folder, Path::new(&object::admit(path)))
 }
@@ -77,7 +77,7 @@ impl SessionText<'_> {
         Error::format(format!("{}: {what}", self.place(span)), hint)
     }
 
-    /// An error of what is named there.
+    /// Error about a file or value that is named at a place.
     fn locate(&self, span: &Range<usize>, e: Error) -> Error {
         let what = format!("{}: {e}", self.place(span));
         e.saying(what)

@@ -1,5 +1,5 @@
-//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its
-//! default is left out, and long strokes and selections go to files beside it.
+//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. Values that are
+//! their defaults are left out, and long strokes and selections go to files beside the session.
 
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
@@ -42,8 +42,8 @@ impl SessionFile {
         let mut text = document.to_string();
         if let Some((file, base)) = Self::as_it_stands(former) {
             let changed = session_layout::changed(file, &base, document).to_string();
-            // Not where it would be read as another session: joints, say, may stand in another order than
-            // they are read in.
+            // A changed text that would be read as another session is not written: joints, say, may stand in
+            // another order than they are read in.
             let read = Self::parse(&changed, path).and_then(|read| read.to_toml(path));
             if read.is_ok_and(|read| Some(read) == self.to_toml(path).ok()) {
                 text = changed;
@@ -368,7 +368,7 @@ mod tests {
         let session = session(&folder);
         session.save(&path).unwrap();
         assert_eq!(without_places(SessionFile::load(&path).unwrap()), session);
-        // And what was read is written as it was.
+        // The session that was read is written as it was.
         let text = std::fs::read_to_string(&path).unwrap();
         SessionFile::load(&path).unwrap().save(&path).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);

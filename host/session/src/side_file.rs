@@ -1,8 +1,9 @@
-//! Files beside a session: what is too much for a readable file, as long brush strokes and selections.
+//! Files beside a session: content that is too long for a readable file, as long brush strokes and
+//! selections.
 //!
-//! A line that says what it is, such as `simod-strokes/1`, and the content in postcard's encoding. The
+//! The file is a line with its kind, such as `simod-strokes/1`, and the content in postcard's encoding. The
 //! session names the file with its hash; the name has a part of the hash, so that a session that is saved
-//! anew never spoils what the former one refers to.
+//! anew never spoils the files that the former one refers to.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -101,8 +102,8 @@ pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl Reference {
-    /// Reads the file; `folder` is the session's. `make` makes of its content what it stands for, or says
-    /// what is wrong with it.
+    /// Reads the file; `folder` is the session's. `make` makes the value of its content, or an error that
+    /// tells the fault.
     ///
     /// # Errors
     /// The file cannot be read, is not the one that the session was saved with, or holds what makes no sense.

@@ -27,8 +27,8 @@ pub fn path_beside(model: &Path) -> PathBuf {
     path.into()
 }
 
-/// Says what turns in a model with the surface: what is asked for or, where that declares nothing, what the
-/// sidecar does. Returns what it is.
+/// Sets the attributes of a model that turn with the surface: by the rules that are asked for or, where these
+/// declare nothing, by those of the sidecar. Returns these rules.
 ///
 /// # Errors
 /// The sidecar is there, and is no such file; as of [`Model::follow`].

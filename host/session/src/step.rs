@@ -1,6 +1,6 @@
-//! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no
-//! sense. Whoever reads, changes or records steps judges them by what is here. What is derived for reading
-//! is how former programs recorded them.
+//! The steps of an edit, which a session has and an edit changes, and the checks of steps. All code that
+//! reads, changes or records steps uses the checks of this module. The derived reading is that of former
+//! programs' recordings.
 
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};
@@ -95,7 +95,7 @@ pub struct Deformation {
     pub deform: String,
     /// Origin of the plugin, as far as that was known when the session was saved.
     pub plugin: Option<Origin>,
-    /// The version of what the plugin's parameters mean; where nothing is said, the first.
+    /// Version of the plugin's parameters and their meaning; where not given, the first.
     #[serde(default)]
     pub state_version: Option<u32>,
     /// The parameters that differ from their defaults.
@@ -264,7 +264,7 @@ impl Step {
         Self { action, enabled: true, title: None, group: None, place: String::new() }
     }
 
-    /// The plugin's id, or what else the step is.
+    /// Id of the plugin, or the kind of the step.
     pub fn name(&self) -> &str {
         match &self.action {
             Action::Deform(deformation) => &deformation.deform,
@@ -371,7 +371,7 @@ pub(crate) fn check_joints(joints: &[Joint]) -> Result<(), (usize, Defect)> {
 }
 
 /// The numbers of joints in an order in which each comes after the one that it hangs on: those that hang on
-/// none first, and then what hangs on these. Where there is no such order, [`check_joints`] says so.
+/// none first, and then those that hang on these. Where there is no such order, [`check_joints`] says so.
 pub(crate) fn joint_order(joints: &[Joint]) -> Vec<usize> {
     let numbers: HashMap<&str, usize> = joints.iter().map(|joint| &*joint.id).zip(0..).collect();
     // Number of joints that hang on each other down to each one, itself included; 0 where that is not known

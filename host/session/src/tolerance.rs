@@ -249,7 +249,7 @@ enum Ended {
 /// The search for samples by which no vertex is expected to be off by more.
 struct ToleranceSearch<'a> {
     sought: &'a Sought<'a>,
-    /// Error that refinements ask for: finer than the tolerance, as density changes around what is refined,
+    /// Error that refinements ask for: smaller than the tolerance, as density changes around refined places,
     /// which costs precision there.
     asked: f64,
     /// Samples before, and the most that there may be.
@@ -438,7 +438,7 @@ impl<'a> ToleranceSearch<'a> {
     }
 }
 
-/// A refinement around the place where most is expected, whatever the clusters' errors.
+/// Refinement around the place where the largest error is expected, whatever the clusters' errors.
 fn around_worst(of: &SampledModel, beyond: &ErrorExcess) -> Refine {
     let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
     let spacing = f64::from(of.samples.spacing()[nearest]) * of.frame.scale;

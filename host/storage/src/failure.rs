@@ -137,7 +137,7 @@ fn status(error: &StoreError) -> Option<(String, Option<String>)> {
     Some((status.to_owned(), code.filter(is_word).map(str::to_owned)))
 }
 
-/// The library's text, of what is no answer of a store, without what stands behind a "?".
+/// Text of the library for an error that is no answer of a store, without the part behind a "?".
 fn plain(error: &StoreError) -> String {
     let text = error.to_string();
     let cut = |word: &str| match word.split_once('?') {

@@ -62,7 +62,7 @@ impl ObjectLocation {
         let name = object::admit(url).to_string_lossy().into_owned();
         let refused =
             |e: object_store::Error| Error::from(RequestFailure::new(&format!("cannot open {name}"), &e));
-        // Of another provider none is linked, so that it is this one or an equal one.
+        // No other provider is linked, so that the installed one is this or an equal one.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let (scheme, rest) = url.split_once("://").unwrap_or((url, ""));
         let (host, path) = rest.split_once('/').unwrap_or((rest, ""));

@@ -24,7 +24,8 @@ impl StoredObject {
     /// # Errors
     /// The store cannot be reached, or refuses.
     pub fn open(place: ObjectLocation) -> Result<Option<Self>> {
-        // As bytes, and not what is known of it, as a URL that was signed allows nothing else.
+        // The object is opened by reading its first bytes, and not by asking for its properties, as a URL
+        // that was signed allows nothing else.
         let first = GetOptions { range: Some(GetRange::Bounded(0..BLOCK)), ..GetOptions::default() };
         let ask = async || {
             let answer = place.store.get_opts(&place.path, first.clone()).await?;

@@ -69,7 +69,7 @@ impl ObjectVersion {
                 Err(StoreError::Precondition { .. }) => return Err(RequestFailure::changed(self.name())),
                 Err(e) => return Err(RequestFailure::new(&what, &e)),
             };
-            // Not all stores look at what they are asked for.
+            // Some stores ignore the condition of the request.
             if tag_of(&answer.meta) != self.tag || answer.meta.size != self.bytes {
                 return Err(RequestFailure::changed(self.name()));
             }

@@ -78,7 +78,7 @@ impl Counts {
             }
         }
         let mut counts = Self::of_spacing(lengths, wide);
-        // Rows are added where they are widest, while that goes.
+        // Rows are added where they are widest, as long as the number of vertices allows it.
         loop {
             let mut spacings: Vec<(usize, f64)> =
                 counts.rows().zip(lengths).map(|(rows, length)| length / *rows as f64).enumerate().collect();

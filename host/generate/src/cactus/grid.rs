@@ -352,7 +352,7 @@ impl BodyRows for Cactus {
 }
 
 impl Cactus {
-    /// The hole that takes a part of what is between a row of the stem and the next one.
+    /// The hole that takes a part of the strip between a row of the stem and the next one.
     fn hole_above(&self, row: u64) -> Option<Hole> {
         (0..2).map(|arm| self.counts.hole(arm)).find(|hole| hole.low <= row && row < hole.high)
     }

@@ -1,7 +1,7 @@
 //! Models written in other formats than their own: streamed, edited on the way like those that keep theirs.
 //!
-//! A [`Converted`] model is the model, but for what is written of it. What the new format cannot hold is
-//! known before anything is written, and listed; whoever loses it has said so.
+//! A [`Converted`] model reads as the model that it is made of, and is written in another format. Losses are
+//! known before anything is written, and listed; a caller that accepts losses has said so.
 //!
 //! | module | |
 //! |---|---|
@@ -55,7 +55,7 @@ pub struct Converted {
     how: Conversion,
     faces: FaceCounts,
     folder: std::path::PathBuf,
-    /// The records of points stay what they are, as from LAS to LAZ.
+    /// Whether the records of points stay as they are, as from LAS to LAZ.
     keeps_records: bool,
     losses: Vec<String>,
     rounding: Option<Rounding>,
@@ -98,7 +98,7 @@ fn check_one_file(model: &dyn Model) -> Result<()> {
 }
 
 impl Converted {
-    /// The model as what the extension of `target` says. Its faces are read once, to be counted.
+    /// The model in the format that the extension of `target` names. Its faces are read once, to be counted.
     ///
     /// # Errors
     /// Nothing of that name can be written; the new format has no room for so much; something would be lost,

@@ -89,7 +89,7 @@ impl RecordForm {
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
         let is_other = |place: &usize| !packed.is_some_and(|packed| packed.contains(place));
         let others = (0..info.attributes.len()).filter(is_other);
-        // Of which PLY keeps names with blanks.
+        // PLY keeps attributes' names with blanks in its remarks.
         let remarks = if kind == RecordFormat::Ply { content.model.remarks() } else { Vec::new() };
         let others = others.map(|place| (place, &info.attributes[place]));
         let attributes = written(kind, others, &remarks, losses);

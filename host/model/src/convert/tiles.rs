@@ -51,9 +51,9 @@ pub fn converted_names(tiles: &ModelName, extension: &str) -> Result<Vec<PathBuf
     }
 }
 
-/// Writes each tile, opened as text of `columns` if any are given, as what an extension says to a file in the
-/// folder `output`, which appears whole or not at all. A former one is replaced if it holds nothing but files
-/// of these names.
+/// Writes each tile, opened as text of `columns` if any are given, in the format of an extension to a file in
+/// the folder `output`, which appears whole or not at all. A former folder is replaced if it holds nothing
+/// but files of these names.
 ///
 /// Memory: as of one [`Converted`], and the names.
 ///

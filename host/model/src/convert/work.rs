@@ -70,7 +70,7 @@ impl<'a> ConversionCall<'a> {
         EditInTurn(self)
     }
 
-    /// The progress, which advances by what is read.
+    /// Progress that advances by the bytes that were read.
     pub(super) fn quietly(&self) -> Quietly<'a> {
         Quietly(self.progress)
     }
@@ -84,8 +84,8 @@ impl<'a> ConversionCall<'a> {
         self.turned.notify_all();
     }
 
-    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be,
-    /// as a piece before it has failed, whose error is the one that is told.
+    /// Waits, for the piece that begins with a vertex, until a condition holds; an error if it never will, as
+    /// a piece before it has failed, whose error is the one that is reported.
     fn wait(&self, piece: u64, until: impl Fn(&VertexTurns) -> bool) -> Result<()> {
         let mut turns = self.turns();
         while !until(&turns) {
@@ -97,8 +97,7 @@ impl<'a> ConversionCall<'a> {
         Ok(())
     }
 
-    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns
-    /// if it fails.
+    /// Does work for the piece that begins with a vertex; pieces that wait for its result learn if it fails.
     fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
         struct TurnGuard<'w, 'a> {
             of: &'w ConversionCall<'a>,
@@ -301,7 +300,7 @@ impl ConversionPieces<'_> {
         }
     }
 
-    /// The next vertices; where they are read by whoever takes the piece, their number alone.
+    /// Reads the next vertices; where the thread that takes the piece reads them, returns only their number.
     fn read_vertices(&mut self, chunk: &mut VertexChunk) -> Result<Option<usize>> {
         let work = self.work;
         let left = work.model.info().vertices - self.vertex;
@@ -322,7 +321,7 @@ impl ConversionPieces<'_> {
         chunk.raw.clear();
         self.vertex += count;
         if self.number < work.how.pieces_done {
-            // The edit wants to see its bytes, and nobody else reads it.
+            // The edit wants to see the bytes of the piece, and no other code reads them.
             work.read_piece(chunk)?;
             work.progress.advance(chunk.raw.len() as u64);
             work.change(|turns| turns.next = chunk.first + count);

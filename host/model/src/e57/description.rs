@@ -67,7 +67,7 @@ pub(super) struct LimitSlot {
     pub value: f64,
     /// Type in which the number is written.
     pub kind: NumberEncoding,
-    /// The bytes to be replaced, and what has to stand around the new number.
+    /// Range of the bytes to be replaced, and the text that has to stand around the new number.
     pub text: Range<usize>,
     pub around: (String, String),
 }
@@ -158,8 +158,8 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         Err(self.wrong(other, what).hinting("export the model without, as usual programs write E57"))
     }
 
-    /// Adds where a scan's bounds stand in the text, Cartesian and spherical ones. What is no number tells
-    /// nothing, and stays.
+    /// Adds the places of a scan's bounds in the text, Cartesian and spherical ones. A bound that is no
+    /// number is left as it is.
     fn add_bounds(&self, scan: Node<'a, 'i>, slots: &mut Vec<LimitSlot>) {
         for (element, names, is_spherical) in
             [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]

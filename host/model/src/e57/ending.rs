@@ -44,7 +44,8 @@ impl E57Model {
             self.source.append_at(&mut same, ending.start, (ending.end - ending.start) as usize)?;
             return Ok(same);
         };
-        // Of a longer one, what follows is the end of a page; of one as long, it stays.
+        // XML of another length is filled up to the end of its page; XML of the same length keeps the bytes
+        // behind it.
         let mut payload = xml.into_bytes();
         if self.xml_is_last() {
             let on_first_page = (PAYLOAD - self.header.xml.start % PAYLOAD) as usize;

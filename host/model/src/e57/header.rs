@@ -1,4 +1,4 @@
-//! The header of an E57 file: 48 bytes, which say where its XML is.
+//! Header of an E57 file: 48 bytes, with the place of the file's XML.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ pub(super) mod at {
     pub const XML_LENGTH: u64 = 32;
 }
 
-/// Longest XML that is read: it is held, and a tree of it.
+/// Longest XML that is read, which bounds the memory for it and its tree.
 const MOST_XML: u64 = 64 << 20;
 
 /// The header's content.

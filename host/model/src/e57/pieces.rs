@@ -177,7 +177,7 @@ impl<'a> E57Pieces<'a> {
             (false, true) => scan.lead_numbers(&start)..count,
             (false, false) => scan.lead_numbers(&start)..scan.lead_numbers(&end),
         };
-        // Never backwards, whatever became of the file meanwhile.
+        // The range never goes backwards, even if the file has changed meanwhile.
         let own = own.start..own.end.max(own.start);
         let (mut points, mut alone) = (own.clone(), Vec::new());
         let patched = scan.patched();
@@ -226,7 +226,7 @@ impl<'a> E57Pieces<'a> {
         Ok(runs)
     }
 
-    /// Reads the piece that begins with the first of some pages; where it ends.
+    /// Reads the piece that begins with the first of some pages; returns the page at which the piece ends.
     fn read_points(
         &mut self,
         pages: &Range<u64>,

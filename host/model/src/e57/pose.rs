@@ -17,7 +17,7 @@ impl Default for ScanPose {
 }
 
 impl ScanPose {
-    /// The pose of a quaternion `[w, x, y, z]`; `None` where it is no rotation.
+    /// Pose with the rotation of a quaternion `[w, x, y, z]`; `None` where that is no rotation.
     pub fn new(rotation: [f64; 4], translation: DVec3) -> Option<Self> {
         // Scaled, so that squares neither overflow nor vanish.
         let largest = rotation.iter().fold(0.0, |all: f64, one| all.max(one.abs()));

@@ -93,7 +93,7 @@ impl Moving<'_, '_> {
         }
     }
 
-    /// Patches what the pages have of a segment.
+    /// Patches the numbers of a segment in its pages.
     fn patch(&mut self, segment: &ScanSegment, pages: &mut [u8]) -> Result<()> {
         let scan = &self.model.scans[segment.scan];
         let points = segment.points().clone();
@@ -144,7 +144,7 @@ impl Moving<'_, '_> {
         Ok(())
     }
 
-    /// Turns what follows of a vertex; whether any bits changed.
+    /// Turns the attributes of a vertex that follow the surface; returns whether any bits changed.
     fn turn_vertex(&self, segment: &ScanSegment, bits: &mut [u64], vertex: usize) -> bool {
         let edited = self.version.edited;
         let moves = entry_of(self.from, vertex).is_some_and(|from| from.is_finite());

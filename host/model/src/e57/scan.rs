@@ -1,6 +1,6 @@
-//! A scan: its points' fields, which of them are positions and normals, and what becomes of these.
+//! A scan: the fields of its points, those among them that are positions and normals, and their new numbers.
 //!
-//! A *row* is what is read of a point: the bits of those fields.
+//! A *row* is the part of a point that is read: the bits of those fields.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -61,7 +61,8 @@ pub(super) struct CoordinateOverflow {
     pub value: f64,
 }
 
-/// A field of whose bits no range is wide enough: the field, and from where to where its numbers would go.
+/// Field of which no range is wide enough for its bits: the field, and the least and the largest number that
+/// it would have.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TooWide {
     pub field: usize,
@@ -140,7 +141,7 @@ impl Scan {
         })
     }
 
-    /// The fields that are written anew: those of a row, and what turns.
+    /// Fields that are written anew: those of a row, and those that turn.
     pub fn patched(&self) -> Vec<usize> {
         let others = self.turning.iter().flatten().filter(|field| !self.row.contains(field));
         self.row.iter().chain(others).copied().collect()
@@ -373,8 +374,8 @@ impl Scan {
         Ok(())
     }
 
-    /// The numbers of a place in the frame of all scans: x, y and z, if points have them, and then range,
-    /// azimuth and elevation; each with what a margin around the place makes of it.
+    /// Coordinates of a place in the frame of all scans: x, y and z, if points have them, and then range,
+    /// azimuth and elevation; each with the margin that follows from one around the place.
     fn coordinates(&self, p: DVec3, margin: f64) -> Vec<Coordinate> {
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
         let length =
@@ -411,8 +412,8 @@ impl Scan {
         flat && polar.is_none_or(|[range, ..]| fits(range, spherical(local)[0]))
     }
 
-    /// Turns a normal to another one, in the frame of all scans; whether any bits changed. What a field
-    /// cannot hold stays.
+    /// Turns a normal to another one, in the frame of all scans; returns whether any bits changed. Numbers
+    /// that a field cannot hold stay as they were.
     pub fn turn_normal(&self, row: &mut [u64], from: Vec3, to: Vec3) -> bool {
         let Some(three) = self.roles.normal else { return false };
         if from.to_array().map(f32::to_bits) == to.to_array().map(f32::to_bits) || !to.is_finite() {
@@ -430,8 +431,9 @@ impl Scan {
         changed
     }
 
-    /// Turns the numbers that `turn` is for, by a gradient in the frame of all scans: `bits` are those of
-    /// [`turning`](Self::turning) that the scan has. Whether any changed; what a field cannot hold stays.
+    /// Turns the numbers of an attribute by `turn`, with a gradient in the frame of all scans: `bits` are
+    /// those of [`turning`](Self::turning) that the scan has. Returns whether any changed; numbers that a
+    /// field cannot hold stay as they were.
     pub fn turn(&self, bits: &mut [u64], gradient: &Mat3, turn: impl FnOnce(&Mat3, &mut [f64])) -> bool {
         let fields = &self.described.fields;
         let mut there = bits.iter();
@@ -518,7 +520,7 @@ impl Scan {
     }
 }
 
-/// Puts fields into the row, if all are there; where they are in it.
+/// Appends fields to the row, if all are there; returns their places in the row.
 fn all<const N: usize>(fields: [Option<usize>; N], row: &mut Vec<usize>) -> Option<[usize; N]> {
     if fields.iter().any(Option::is_none) {
         return None;

@@ -19,7 +19,7 @@ pub(super) struct Streams {
 }
 
 impl Streams {
-    /// Reads what the points have of some fields.
+    /// Reads the numbers of some fields of the points.
     pub fn read(
         &mut self,
         mut walk: PacketWalk<'_, '_>,

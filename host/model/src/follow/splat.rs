@@ -47,8 +47,8 @@ impl SplatNumbers {
         (self.degree + 1).pow(2) - 1
     }
 
-    /// Turns a splat; returns how many times as long as its second axis it was, and is. Nothing where its
-    /// numbers mean nothing, or the deformation leaves nothing of it: it keeps them then.
+    /// Turns a splat; returns the ratios of its longest axis to its second before and after. None where its
+    /// numbers are meaningless, or the deformation leaves nothing of the splat, which keeps its numbers then.
     pub(super) fn turn(
         self,
         turn: &VertexTurn,
@@ -101,7 +101,7 @@ impl Ellipsoid {
         if !(length > 0.0 && length.is_finite() && logs.iter().all(|log| log.is_finite())) {
             return None;
         }
-        // Neither overflows nor vanishes, but in thin splats what is nothing beside the rest.
+        // Nothing overflows or vanishes, but for lengths in thin splats that are nothing beside the others.
         let unit = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let scale = |i: usize| logs.get(i).map_or(0.0, |log| (log - unit).exp());
         let scales = [scale(0), scale(1), scale(2)];
@@ -113,9 +113,8 @@ impl Ellipsoid {
     }
 }
 
-/// The rotation whose axes lie along orthogonal ones, each on the side where the former axis comes to lie.
-/// The shortest of them, or what is across a disc, is what makes it a rotation: it is turned round by a
-/// mirror.
+/// Rotation whose axes lie along orthogonal ones, each on the side to which the former axis goes. The
+/// shortest axis, or the one across a disc, is turned round where the axes would be a mirror.
 fn oriented(axes: &DMat3, lengths: [f64; 3], before: &DMat3) -> Option<DMat3> {
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| lengths[*b].total_cmp(&lengths[*a]));
@@ -157,10 +156,10 @@ fn shorten(lengths: &mut [f64; 3], most: f64) {
     }
 }
 
-/// The opacity before the sigmoid of a splat whose matter is spread over so many times the area: what it
-/// swallows, −ln(1 − α), is as many times less.
+/// Opacity before the sigmoid of a splat whose matter is spread over so many times the area: the light that
+/// it absorbs, −ln(1 − α), is as many times less.
 fn conserved(before: f64, area: f64) -> f64 {
-    // ln(1 + eˣ), and the inverse of it.
+    // ln(1 + eˣ), and the inverse of this function.
     let swallowed = before.max(0.0) + (-before.abs()).exp().ln_1p();
     let left = swallowed / area;
     let after = if left > 30.0 { left } else { left.exp_m1().ln() };

@@ -1,6 +1,6 @@
 //! A file's bytes as GLB has them: a header, a chunk of JSON, and one of binary data.
 //!
-//! A `.gltf`, whose buffers are files beside it or text within it, is made to look like that without being
+//! A `.gltf`, whose buffers are files beside it or text within it, is read as if it were a GLB without being
 //! copied: a header and JSON in memory, with the buffers one behind the other as binary data.
 
 use std::ops::Range;
@@ -370,7 +370,8 @@ impl Container {
         })
     }
 
-    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end.
+    /// Fills `buffer` from `offset` on; returns the number of bytes read, which is less than the buffer's
+    /// length only at the end.
     pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         if self.parts.is_empty() {
             return self.source.read_at(buffer, offset);

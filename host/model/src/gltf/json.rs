@@ -12,7 +12,7 @@ use serde_json::value::RawValue;
 /// Most things of a kind, as nodes or accessors: a bound of the memory for them.
 const MOST: usize = 1 << 20;
 
-/// Names of extensions, or of what else is there.
+/// Names of extensions, or of other members that are there.
 pub(super) type Names = BTreeMap<String, IgnoredAny>;
 
 /// Accessors of a primitive by their attribute, as `POSITION`.

@@ -1,7 +1,7 @@
 //! The bytes of a file that are positions, normals and tangents, and the vertices that they belong to.
 //!
 //! The vertices are the elements of all position accessors that a node shows: each run of bytes counts once,
-//! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in
+//! however many use it, and vertices are numbered in the order of the file. Bytes that are patched lie in
 //! *regions*: rows of equal length with a position, a normal or a tangent of a vertex in each, or several of
 //! them.
 
@@ -67,7 +67,7 @@ pub(super) struct VertexRows {
 }
 
 impl VertexRows {
-    /// The bytes of some rows; the rest of the last row is not in it.
+    /// Range of the bytes of some rows, without the rest of the last row behind its elements.
     pub(super) fn window(&self, rows: Range<u64>) -> Range<u64> {
         let start = self.bytes.start + self.stride * rows.start;
         let end =
@@ -173,7 +173,7 @@ impl Accessors<'_> {
     /// Finds out where everything is.
     pub(super) fn layout(&self) -> Result<GltfLayout> {
         let document = self.document;
-        // First, as what is compressed looks damaged otherwise.
+        // Compression is checked first, as compressed content looks damaged otherwise.
         self.check_uncompressed()?;
         for index in 0..document.accessors.len() {
             self.place(index)?;
@@ -370,7 +370,7 @@ impl Accessors<'_> {
 
     fn finish(&self, builder: LayoutBuilder) -> Result<GltfLayout> {
         let LayoutBuilder { sets, streams, mut layout, drawn, accessors, kept } = builder;
-        // Ordered by where they begin.
+        // Numbers of the sets in the order of the bytes at which they begin.
         let numbers: BTreeMap<AccessorBytes, usize> =
             sets.keys().enumerate().map(|(number, place)| (*place, number)).collect();
         let number = |place: &AccessorBytes| numbers.get(place).copied().unwrap_or_default();
@@ -414,7 +414,7 @@ impl Accessors<'_> {
         Ok(layout)
     }
 
-    /// Gathers what lies between each other in regions; `all` is sorted.
+    /// Gathers streams that are interleaved in regions; `all` is sorted.
     fn regions(&self, all: &[ElementRun], layout: &mut GltfLayout) -> Result<()> {
         let mut rest = all;
         while let Some(((first, _, _), _)) = rest.split_first() {
@@ -466,7 +466,7 @@ impl Accessors<'_> {
         Ok(elements)
     }
 
-    /// An error where what changes has bytes in common with what does not.
+    /// Error where bytes that change belong to an accessor that does not, too.
     fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[ElementRun]) -> Result<()> {
         // Largest end of all streams up to each one, in the order of their starts.
         let mut ends = Vec::with_capacity(all.len());

@@ -1,5 +1,6 @@
-//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. It stands
-//! before them in the file: they are written in the end, and the JSON has room for them until then.
+//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. The JSON is
+//! before the vertices in the file: the limits are written in the end, and the JSON has room for them until
+//! then.
 
 use std::ops::Range;
 
@@ -74,7 +75,7 @@ impl AccessorLimits {
         self.parts.binary_search(&part).is_ok()
     }
 
-    /// Bytes that the JSON may need more, whatever the numbers become.
+    /// Number of bytes by which the JSON may grow, whatever its new numbers are.
     pub(super) fn room(&self) -> usize {
         let missing = |limit: &Limit| LONGEST.saturating_sub(limit.text.len());
         self.all.iter().map(missing).sum::<usize>().next_multiple_of(4)

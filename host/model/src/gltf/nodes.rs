@@ -101,7 +101,7 @@ fn own(node: &GltfNode) -> DMat4 {
 }
 
 impl Accessors<'_> {
-    /// The nodes that show a mesh, and where each is. What is skinned is where its joints take it, and stays
+    /// Nodes that show a mesh, each with its placement. A skinned mesh is where its joints take it, and stays
     /// in its own coordinates.
     pub(super) fn placements(&self) -> Result<Vec<(usize, Option<MeshPose>)>> {
         let worlds = self.worlds()?;

@@ -50,7 +50,7 @@ impl<'a> GltfRewriting<'a> {
         }
     }
 
-    /// Says what was kept.
+    /// Notes the number of vectors that were kept.
     pub(super) fn tell(&self, progress: &dyn Progress) {
         let kept = self.kept.load(Ordering::Relaxed);
         if kept > 0 {

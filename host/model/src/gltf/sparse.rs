@@ -1,5 +1,5 @@
 //! Sparse accessors of vertices and indices, made plain: all their elements, one after the other, as further
-//! binary data, and JSON that says so. What they were made of stays where it is.
+//! binary data, and JSON that refers to these. The sparse data stay where they are.
 
 use std::collections::BTreeMap;
 

@@ -114,7 +114,7 @@ impl LasBlocks {
             let left = points - vertex;
             let vertices = match laszip.blocks {
                 BlockLengths::Fixed(size) => u64::from(size).min(left),
-                // The library gives what is negative a sign.
+                // The library takes counts beyond its signed type for negative numbers.
                 _ => u64::from(entry.point_count as u32),
             };
             if vertices > left {

@@ -29,7 +29,7 @@ pub struct LasModel {
     /// Compression and blocks of the points, if they are compressed.
     pub(super) compressed: Option<(Laszip, LasBlocks)>,
     pub(super) info: ModelInfo,
-    /// The number of steps by which the offset of what is written differs.
+    /// Number of steps by which the offset in the new file differs.
     pub(super) shift: [i64; 3],
     /// Positions and colours of compressed points that were read, as long as these points are [read
     /// again](crate::Model::keep_positions).

@@ -166,7 +166,7 @@ impl FoundNumbers {
     const NONE: Self =
         Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true, are_stored: true };
 
-    /// Takes numbers in, of which something is said; what is none is not whole.
+    /// Includes numbers, on which there may be a remark; NaN and infinite numbers are not whole.
     fn take(&mut self, numbers: &[f64], remark: Option<&ExtraBytesRemark>) {
         if let Some((remark, kind)) = remark.and_then(|remark| Some((remark, remark.stored?))) {
             let (least, most) = range(FieldTarget::Number(kind));
@@ -555,8 +555,8 @@ impl LasForm {
             };
             let is_whole = least.is_finite();
             to.push(match field.rounds {
-                // Of what is left out, and where something may be lost, as what a scan does not have though
-                // others do: as in PLY.
+                // Numbers of points that are left out, and missing numbers where losses are allowed, as those
+                // of a scan without an attribute that others have: they become 0, as in PLY.
                 _ if is_whole && self.leaves_out && (scaled.is_nan() || !rows.positions[i].is_finite()) => 0.0,
                 true => scaled.round().clamp(least, most),
                 // NaN may be a number of the attribute: a place for floats holds it.
@@ -709,7 +709,7 @@ impl Form for LasForm {
                 }
             }
             None => {
-                // Of a point that nobody says more of, there is one return.
+                // Points without a number of their return count as first returns.
                 tallies[2] = tallies[0];
                 let first = if self.format < 6 { 1 | 1 << 3 } else { 1 | 1 << 4 };
                 let has_count = self.fields.iter().any(|field| field.name == "number_of_returns");
@@ -737,7 +737,7 @@ impl Form for LasForm {
 
     fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = Vec::new();
-        // Some may have been left out.
+        // Points may have been left out.
         let points: u64 = pieces(all).map(|piece| u64::from(piece[0])).sum();
         patches.push(self.count(points));
         let mut returns = [0u64; TALLIES - 2];
@@ -827,13 +827,13 @@ fn integers(content: &ConversionInput<'_>) -> Result<ScaledIntegers> {
         bounds = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
     }
     let step = how.step.unwrap_or_else(|| {
-        // Room for what moves as far as the model is large.
+        // The range has room for motions as far as the model is large.
         let extent = (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);
         let power = (4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32;
         10f64.powi(power)
     });
     let offset = how.offset.unwrap_or_else(|| {
-        // Of few digits.
+        // The offset gets few digits.
         let unit = step * 1e6;
         (0.5 * (bounds.min + bounds.max) / unit).round() * unit
     });

@@ -87,7 +87,7 @@ impl KeptFields {
         }
     }
 
-    /// Fills in what was kept of the records of a block; `false` if it is not there.
+    /// Fills in the kept parts of the records of a block; `false` if these are not there.
     pub fn get(&self, block: Compressed<'_>, records: &mut [u8]) -> bool {
         let Some(KeptBlock { first, hash }) = self.blocks.get(block.number) else { return false };
         let hash = hash.load(Ordering::Acquire);

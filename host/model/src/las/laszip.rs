@@ -50,7 +50,7 @@ pub(super) enum BlockLengths {
 }
 
 impl Laszip {
-    /// Reads the content of the VLR; an error is what is wrong with it.
+    /// Reads the content of the VLR; an error tells the fault in words.
     pub fn new(vlr: &[u8], header: &LasHeader) -> Result<Self, String> {
         let parsed = LazVlr::from_buffer(vlr).map_err(|e| e.to_string())?;
         let [compressor, coder] = [0, 2].map(|at| u16::from_le_bytes(bytes_at(vlr, at)));
@@ -62,7 +62,7 @@ impl Laszip {
         if kinds(&items) != expected {
             return Err(format!("it lists {:?}, where the points are {expected:?}", kinds(&items)));
         }
-        // The library forgets to clear what a colour's upper byte was.
+        // The library forgets to clear the upper byte of a former colour.
         if items.iter().any(|item| (item.item_type(), item.version()) == (LazItemType::RGB12, 1)) {
             return Err("colours of the first version of LASzip are not read as they are".to_owned());
         }
@@ -125,7 +125,7 @@ impl Laszip {
         })
     }
 
-    /// Fills `records` from the bytes of a block; an error is what is wrong with it.
+    /// Decompresses a block into `records`; an error tells the fault in words.
     pub fn decompress(&self, block: &[u8], records: &mut [u8], what: LayerChoice) -> Result<(), String> {
         if records.is_empty() {
             return Ok(());
@@ -174,7 +174,7 @@ impl Laszip {
     /// Number of points and of bytes of the block that `from` is at the beginning of, if it has at most so
     /// many points; `from` is read no further than needed.
     ///
-    /// An error is what is wrong with it.
+    /// The error tells the fault in words.
     pub fn measure<R: Read + Seek>(&self, mut from: R, most: u64) -> Result<(u64, u64), String> {
         if self.is_layered {
             let mut head = vec![0; self.head_bytes()];

@@ -196,7 +196,7 @@ impl ExtraBytesRemark {
         Self { stored: None, scale: None, offset: None, no_data, least, most, ..self }
     }
 
-    /// Puts what is said into a description of numbers that are stored in a type.
+    /// Puts the remark into a description of numbers that are stored in a type.
     pub fn put(&self, kind: Type, one: &mut [u8]) {
         let bytes = |number: f64| match kind {
             Type::F32 | Type::F64 => number.to_le_bytes(),

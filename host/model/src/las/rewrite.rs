@@ -332,7 +332,7 @@ impl LasModel {
         self.records.of_copc().filter(|record| record.is_extended == extended).count() as u64
     }
 
-    /// Corrects in the header what is known beforehand.
+    /// Corrects those numbers of the header that are known beforehand.
     pub(super) fn correct_header(&self, bytes: &mut [u8]) {
         let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
         for (axis, _) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {

@@ -1,4 +1,4 @@
-//! LAS as LAZ, and LAZ as LAS: header, records and what lies between stay as they are, and so do points, but
+//! LAS as LAZ, and LAZ as LAS: header, records and the bytes between stay as they are, and so do points, but
 //! for being compressed.
 
 use std::ops::Range;

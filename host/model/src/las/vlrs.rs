@@ -84,7 +84,8 @@ impl KeptVlrs {
         Ok(this)
     }
 
-    /// Reads the header of the record at a place; where it ends, if that is not beyond `end`.
+    /// Reads the header of the record at a byte; returns the byte at which the record ends, if that is not
+    /// beyond `end`.
     fn read_one(&mut self, source: &SourceFile, at: u64, end: u64, is_extended: bool) -> Result<Option<u64>> {
         let mut bytes = [0; 60];
         let bytes = &mut bytes[..if is_extended { 60 } else { 54 }];
@@ -217,7 +218,7 @@ impl KeptVlrs {
         if let Some(code) = found.filter(|code| *code != 0 && *code != OWN) {
             return Ok(Some(format!("EPSG:{code}")));
         }
-        // Then it may have a name: the projected system, all of it, or the geographic one.
+        // A system without a code may have a name: the projected system, all of it, or the geographic one.
         let texts = self.content(source, VlrKind::GeoTexts, MOST_OF_CRS)?.unwrap_or_default();
         let named = |[.., count, at]: &[u16; 4]| {
             let text = texts.get(usize::from(*at)..)?;

@@ -70,7 +70,7 @@ impl<'a> SharedNormals<'a> {
         Ok(Self { model, file, pairs, kept: AtomicU64::new(0) })
     }
 
-    /// Says what was kept.
+    /// Notes the number of normals that were kept.
     pub(super) fn tell(&self, progress: &dyn Progress) {
         let kept = self.kept.load(Ordering::Relaxed);
         if kept > 0 {
@@ -249,7 +249,7 @@ fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) ->
     Ok(())
 }
 
-/// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
+/// Writes pairs of normals and vertices, sorted, from `start` on; returns the byte at which they end.
 fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
     let mut runs = Runs::new(to)?;
     let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, ENDS);

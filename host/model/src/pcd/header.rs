@@ -134,7 +134,7 @@ struct Parser {
 }
 
 impl Parser {
-    /// Takes a line; what it says if it is the last one.
+    /// Takes a line; returns the encoding of the data if the line is the last one.
     fn line(&mut self, line: &str) -> Result<Option<Data>, PcdFault> {
         let line = line.split('#').next().unwrap_or_default();
         let mut words = line.split_ascii_whitespace();

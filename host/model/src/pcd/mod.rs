@@ -2,8 +2,8 @@
 //!
 //! But for the header these are records as PLY has them, and are read and written by the same code: see
 //! [`ply`](crate::ply). A compressed file holds one block of at most 4 GiB, in which each field of all points
-//! comes before the next field: it is unpacked into the [cache](crate::cache) when it is opened, and what is
-//! written is not compressed, which its header says.
+//! comes before the next field: it is unpacked into the [cache](crate::cache) when it is opened, and is
+//! written without compression, according to its new header.
 
 mod header;
 mod unpack;

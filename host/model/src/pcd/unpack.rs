@@ -100,7 +100,7 @@ impl Unpacker<'_> {
                 let Some(from) = self.output.len().checked_sub(back) else {
                     return Err(self.damaged("a copy of what comes before the first point"));
                 };
-                // Copies may overlap what they make.
+                // A copy may overlap the bytes that it makes.
                 for i in from..from + length + 2 {
                     self.output.push(self.output[i]);
                 }

@@ -4,7 +4,7 @@
 //! list `vertex_indices` (or `vertex_index`) of integers. Without such a list, an element has no triangles.
 //!
 //! A list may be as long as the file, so it is never held: a fan or a strip needs two corners beside the
-//! next. What is held are [`BLOCK`] bytes of the file.
+//! next. The memory is [`BLOCK`] bytes of the file.
 
 use std::ops::Range;
 
@@ -177,7 +177,7 @@ pub(super) fn bytes(model: &PlyModel) -> u64 {
     } else if with_triangles.is_empty() {
         0
     } else {
-        // As if there was nothing else but the vertices.
+        // The size counts all bytes as faces that are no vertices.
         model.source.len().saturating_sub(model.header.len + model.info.vertex_bytes)
     }
 }
@@ -441,7 +441,7 @@ impl<'a> RecordCursor<'a> {
         Ok(())
     }
 
-    /// Passes over what is of no interest.
+    /// Passes over the properties that are not read.
     fn pass(&mut self, plan: &RecordPlan) -> Result<()> {
         if self.encoding != Encoding::Ascii {
             if !self.window.pass(self.skip) {
@@ -577,7 +577,7 @@ impl<'a> BlockWindow<'a> {
         Ok(self.filled - self.at >= bytes)
     }
 
-    /// Drops what has been taken and reads on; `false` if nothing was taken of a full block.
+    /// Drops the bytes that were taken and reads on; `false` if nothing was taken of a full block.
     #[cold]
     fn refill(&mut self) -> Result<bool> {
         self.block.copy_within(self.at..self.filled, 0);
@@ -1032,7 +1032,8 @@ mod tests {
         let endless = "the file ends within element \"face\", record 1 of 2";
         assert_eq!(text("0 99999999999999999999 0"), endless);
 
-        // Nobody looks at the lists of an element that is long, and lies.
+        // A long element is opened by a few of its lists, so that a wrong one shows only when the faces are
+        // read.
         let triangles = vec![&[0i64, 2, 3][..]; 100_000];
         let table = lists("face", list(Type::I8, Type::I32, "vertex_indices"), &triangles);
         let mut bytes = file(Encoding::Big, &[vertices(1), table]);

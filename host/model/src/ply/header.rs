@@ -1,11 +1,11 @@
-//! The header: what elements the file holds, and how they are stored.
+//! The header: elements of the file, and the encoding of their data.
 
 use std::str::FromStr;
 
 use crate::source::SourceFile;
 use crate::{Result, Type};
 
-/// A header has to end within this many bytes: what goes on without end is no PLY file.
+/// Longest header in bytes: a file whose header goes on is no PLY file.
 pub(super) const MAX_HEADER: usize = 1 << 20;
 
 /// The properties that are a vertex' normal.
@@ -205,8 +205,8 @@ fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<PlyHeader>, HeaderFaul
 
 /// The byte that ends the lines of a header.
 ///
-/// The first line tells. Binary data may begin with a byte that looks like a line feed, so a carriage return
-/// ends lines only where the first one ends in it alone.
+/// The end of the first line tells. Binary data may begin with a byte that looks like a line feed, so a
+/// carriage return ends lines only where the first line ends in it alone.
 fn line_separator(bytes: &[u8]) -> u8 {
     match memchr::memchr2(b'\r', b'\n', bytes) {
         Some(at) if bytes[at] == b'\r' && bytes.get(at + 1).is_some_and(|&b| b != b'\n') => b'\r',

@@ -113,7 +113,7 @@ impl PlyLayout {
                 PropertySlot::Component { index, size: t.size() }
             }
         });
-        // Other formats have what nobody can ask for.
+        // Other formats have properties without names, which cannot be asked for.
         if index.is_none() && !property.name.is_empty() {
             self.other.push(property.describe());
             let known = self.attributes.iter().any(|known| known.name == property.name);

@@ -174,7 +174,7 @@ impl PlyModel {
         Ok(comments)
     }
 
-    /// Comments, and what is neither vertex nor face.
+    /// Comments, and elements and properties that are neither of vertices nor of faces.
     fn besides_of_ply(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let others = self.comments()?.others;

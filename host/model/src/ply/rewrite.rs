@@ -63,8 +63,8 @@ impl Rewritable for PlyModel {
     }
 }
 
-/// The pieces of a PLY file: the header, if it is another one without normals, what comes before the
-/// vertices, the vertices, and what comes after them.
+/// Pieces of a PLY file: the header, if it becomes another one without normals, the bytes before the
+/// vertices, the vertices, and the bytes behind them.
 struct PlyPieces<'a> {
     model: &'a PlyModel,
     /// The header is to be read, and goes out without normals.
@@ -107,7 +107,7 @@ impl Pieces for PlyPieces<'_> {
         };
         if self.at < source.len() {
             self.at += self.model.read_bytes(chunk, self.at, CHUNK_BYTES)?;
-            // Once it is done, it takes nothing: what follows is copied without being looked at.
+            // A walker that is done takes nothing: further bytes are copied without being checked.
             walker.feed(&chunk.raw).map_err(|what| source.malformed(what, DAMAGED))?;
             return Ok((Piece::Bytes, 1));
         }

@@ -1,8 +1,8 @@
 //! Goes over elements without reading their numbers: to find where an element ends, and whether the file does
 //! so too early.
 //!
-//! The walker is fed the file block by block, of whatever size, and keeps a few bytes between them. It counts
-//! in bytes in a binary file, and in words in a text file; all the rest is the same for both.
+//! The walker is fed the file block by block, of any size, and keeps a few bytes between them. It counts in
+//! bytes in a binary file, and in words in a text file; all the rest is the same for both.
 
 use std::fmt::Display;
 
@@ -120,8 +120,9 @@ impl Walker {
         self.plan == self.plans.len()
     }
 
-    /// Takes the next bytes of the file. Returns how many belong to the elements: fewer than all, or all of
-    /// them at the end exactly, once it is done. The error says what is wrong, without the file's name.
+    /// Takes the next bytes of the file. Returns the number of bytes that belong to the elements: fewer than
+    /// all, or all of them at the exact end, once the walk is done. The error tells the fault, without the
+    /// file's name.
     pub(super) fn feed(&mut self, bytes: &[u8]) -> Result<usize, String> {
         match self.encoding {
             Encoding::Ascii => self.feed_words(bytes),
@@ -255,7 +256,7 @@ impl Walker {
     }
 }
 
-/// Goes over `elements`, which begin at `start` of the file; returns where they end.
+/// Walks over `elements`, which begin at `start` of the file; returns the byte at which they end.
 pub(super) fn walk(
     source: &SourceFile,
     encoding: Encoding,

@@ -510,8 +510,8 @@ impl Rewritable for CompressedPly {
     }
 }
 
-/// The header, the bounds, the splats and their harmonics, each of these made of all bytes of the splats; and
-/// what follows them.
+/// Pieces of the file: the header, the bounds, the splats and their harmonics, each of these made of all
+/// bytes of the splats; and the bytes behind them.
 struct ChunkPieces<'a> {
     model: &'a CompressedPly,
     /// Byte of the header, or behind the splats, that comes next.

@@ -1,5 +1,5 @@
-//! Gaussian splats in layouts of their own, of few bytes each: what is read has the same numbers, by the same
-//! names, as PLY files of 3D Gaussian splatting, and is written back in as many bits as there are.
+//! Gaussian splats in layouts of their own, of few bytes each: they are read as the same numbers, by the same
+//! names, as PLY files of 3D Gaussian splatting have, and are written back in as many bits as there are.
 //!
 //! | module | |
 //! |---|---|

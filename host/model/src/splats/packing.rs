@@ -8,7 +8,7 @@ pub(super) fn coefficient(colour: f64) -> f64 {
     (colour - 0.5) / FIRST
 }
 
-/// The opacity before the sigmoid. None and all of it would not be finite: a quarter of a step is kept from
+/// Opacity before the sigmoid. That of 0 and of 255 would not be finite: a quarter of a step is kept from
 /// either.
 pub(super) fn opacity(byte: u8) -> f64 {
     let opacity = f64::from(byte).clamp(0.25, 254.75) / 255.0;

@@ -1,8 +1,8 @@
 //! SPZ of Niantic, versions 2 and 3: a header and one array after the other (positions of 24 bits, opacities,
 //! colours, logarithms of scales, quaternions, harmonics), compressed as a whole by gzip.
 //!
-//! The file is unpacked into the cache once. What is written goes through gzip again, array by array: splats
-//! are carried over once for each array of numbers that turn, each time with the same result.
+//! The file is unpacked into the cache once. The new file goes through gzip again, array by array: splats are
+//! carried over once for each array of numbers that turn, each time with the same result.
 //!
 //! A chunk's bytes are those of its splats, with all of a splat's numbers side by side.
 
@@ -382,7 +382,7 @@ impl Model for Spz {
     }
 }
 
-/// An output that gets what is written compressed.
+/// Output that compresses the bytes that it gets.
 struct CompressedOutput<'a> {
     to: &'a mut dyn Output,
     encoder: GzEncoder<Vec<u8>>,

@@ -28,8 +28,8 @@ pub(super) fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<
     of(moved).map(|moved| moved * side)
 }
 
-/// The triangles of facets: nothing has to be read. A facet's place is where it is in a binary file; in a
-/// text, where it would be.
+/// Triangles of facets, for which nothing has to be read. The place of a facet is its byte in a binary file;
+/// for a text, the byte that it would have there.
 pub(super) struct Facets {
     /// The ranges that are still to come.
     ranges: std::vec::IntoIter<Range<u64>>,

@@ -1,7 +1,7 @@
 //! Blocks of a text file: the places of its vertices, found in one pass when the file is opened, so that
 //! reading begins anywhere near a vertex afterwards.
 //!
-//! A block is a run of whole vertices (of their lines, and of what stands before each) or a gap: many bytes
+//! A block is a run of whole vertices (of their lines, and of the lines before each) or a gap: many bytes
 //! without any. The block that a byte belongs to depends on the file alone.
 
 use std::ops::Range;
@@ -51,8 +51,8 @@ impl TextBlocks {
         self.entries.partition_point(|e| e.0 <= vertex).saturating_sub(1)
     }
 
-    /// The block that holds a byte: how many vertices come before it, and where it begins. `None` before the
-    /// first one.
+    /// The block that holds a byte: the number of vertices before it, and the byte at which it begins. `None`
+    /// before the first one.
     pub(crate) fn of_byte(&self, offset: u64) -> Option<(u64, u64)> {
         let after = self.entries.partition_point(|e| e.1 <= offset);
         self.entries[..after].last().copied()
@@ -158,7 +158,7 @@ impl TextBlocksBuilder {
 
 /// Goes over the bytes of a range of vertices.
 ///
-/// Memory: a block, where it is read in parts.
+/// Memory: a block, where the block is read in parts.
 pub(crate) struct BlockReader<'a> {
     source: &'a SourceFile,
     blocks: &'a TextBlocks,
@@ -267,7 +267,7 @@ impl<'a> BlockReader<'a> {
     }
 }
 
-/// The bytes of a file in its order: vertices, and what is between and after them.
+/// Bytes of a file in its order: vertices, and the bytes between and behind them.
 pub(crate) struct BlockPieces<'a> {
     reader: BlockReader<'a>,
     /// Byte of the file at which the next piece begins.
@@ -376,7 +376,7 @@ mod tests {
             ends.iter().for_each(|(start, end)| builder.vertex(*start, *end));
             let blocks = builder.finish();
             prop_assert_eq!(blocks.vertices(), ends.len() as u64);
-            // All of it, as pieces.
+            // The whole file is read, as pieces.
             let (mut pieces, mut raw) = (BlockPieces::new(&source, &blocks, chunk), Vec::new());
             let (mut all, mut seen, mut of_vertices) = (Vec::new(), 0, Vec::new());
             loop {
@@ -395,7 +395,7 @@ mod tests {
                 all.extend_from_slice(&raw);
             }
             prop_assert!(all == text && seen == ends.len() as u64);
-            // A part of it; what is read of vertices does not depend on the chunks.
+            // A part of the vertices is read, whose bytes do not depend on the chunks.
             let from = (middle * seen as f64) as u64;
             for range in [0..from, from..seen, from..seen.min(from + 7), 0..seen] {
                 let mut reader = BlockReader::new(&source, &blocks, range.clone());

@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(written(cube, "1", 1.0 / 3.0), "0.3333333");
         let none = surveyed(&["7", "7", "7"]);
         assert_eq!(written(none, "7", 8.0), "8");
-        // Whole numbers over a long way are what they are: a grid.
+        // Whole numbers over a long extent are a grid, and stay one.
         let grid = surveyed(&["0", "0", "0", "4000", "4000", "30"]);
         assert_eq!(written(grid, "0", 17.3), "17");
     }

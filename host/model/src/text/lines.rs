@@ -4,7 +4,7 @@ use super::next_word;
 use crate::source::SourceFile;
 use crate::{Error, Result};
 
-/// Longest line: what goes on longer is no text that can be worked on.
+/// Longest line: a text with a longer one is refused.
 pub(crate) const MAX_LINE: usize = 16 << 20;
 
 /// Bytes read at a time.
@@ -131,7 +131,7 @@ fn count_lines(bytes: &[u8]) -> u64 {
 
 /// Goes over the lines of a part of a file.
 ///
-/// Memory: a block, or a line and what is read with it: 32 MiB at most.
+/// Memory: a block, or a line and the bytes that are read with it: 32 MiB at most.
 pub(crate) struct Lines<'a> {
     source: &'a SourceFile,
     ends: LineEnds,
@@ -208,7 +208,7 @@ pub(crate) fn line_number(source: &SourceFile, offset: u64) -> Result<u64> {
         }
         at += read as u64;
         number += count_lines(&block);
-        // A carriage return at the block's end, and the line feed of it in the next one, are one end.
+        // A carriage return at the end of a block, and its line feed in the next block, are one end.
         let mut next = [0];
         if block.last() == Some(&b'\r') && source.read_at(&mut next, at)? == 1 && next == *b"\n" {
             number -= 1;

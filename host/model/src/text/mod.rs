@@ -52,8 +52,8 @@ pub(crate) fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(us
     }
 }
 
-/// Drops a word that ends at `end` of `raw`, what stands before it being in `text` already: with the blanks
-/// before it, or at the start of a line with those behind it. Returns where to go on.
+/// Drops a word that ends at `end` of `raw`, where the bytes before the word are in `text` already: with the
+/// blanks before it, or at the start of a line with those behind it. Returns the byte to go on at.
 pub(crate) fn drop_word(text: &mut Vec<u8>, raw: &[u8], end: usize) -> usize {
     let is_blank = |byte: &u8| is_space(*byte) && !matches!(byte, b'\n' | b'\r');
     if text.last().is_some_and(is_blank) {

@@ -166,7 +166,8 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// The numbers of a vertex that have as many digits: its position, its normal, and what turns together.
+    /// Ranges of a vertex' numbers that have as many digits: its position, its normal, and the numbers that
+    /// turn together.
     fn sorts(&self) -> Vec<Range<usize>> {
         let components = self.grammar.components();
         let following = self.following.groups().map(|group| group.start + components..group.end + components);
@@ -258,8 +259,8 @@ impl<G: Grammar> TextModel<G> {
         Err(self.wrong_vertex(vertex, what, DAMAGED))
     }
 
-    /// An error about a byte of zero in a chunk that begins with the vertex `first`. Where a disk was full,
-    /// such are instead of what was written: nobody knows how many vertices.
+    /// Error about a byte of zero in a chunk that begins with the vertex `first`. Where a disk was full, such
+    /// bytes stand instead of the text: the number of vertices is unknown then.
     #[cold]
     fn zero_byte(&self, first: u64, raw: &[u8], at: usize) -> Error {
         let (mut vertex, mut is_in) = (first, false);
@@ -523,7 +524,7 @@ impl<G: Grammar> Model for TextModel<G> {
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
-        // All of it was looked at when it was opened.
+        // The whole file was read when it was opened.
         self.source.check_unchanged()
     }
 

@@ -1,9 +1,9 @@
 //! A process that does not outlive this one, nor do those that it starts.
 //!
-//! The process leads a process group, which is ended with it. What ends it where this process is killed, and
-//! cannot do so itself: on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and
-//! on all systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups
-//! that are left.
+//! The process leads a process group, which is ended with it. If this process is killed, and cannot end the
+//! group itself, that is done on Linux by the signal that the system sends to it
+//! ([`end_with`](super::end_with)), and on all Unix systems by a shell that reads a pipe from here until it
+//! breaks, and then ends all groups that are left.
 
 use std::io::Result;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
@@ -82,7 +82,7 @@ impl Ended {
         if self.status.is_some() {
             return;
         }
-        // The signal fails where there is nobody left.
+        // The signal fails where no process of the group is left.
         #[cfg(unix)]
         if let Some(group) = pid(&self.child) {
             let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
@@ -140,7 +140,7 @@ fn spawn(command: Command) -> Result<Child> {
                 let child = command.spawn();
                 // The rest of the command may hold its ends of pipes and sockets open.
                 drop(command);
-                // Whoever asked has gone: the process is ended by nobody else.
+                // The caller has gone, and no other code ends the process.
                 if let Err(unheard) = answer.send(child)
                     && let Ok(mut child) = unheard.0
                 {
@@ -157,7 +157,7 @@ fn spawn(command: Command) -> Result<Child> {
     child.recv().map_err(|_| gone())?
 }
 
-/// The shell that ends what is left.
+/// Shell that ends the groups that are left.
 #[cfg(unix)]
 mod watcher {
     use crate::child::ended::spawn;
@@ -217,8 +217,8 @@ mod tests {
         state.rsplit(')').next().is_some_and(|rest| !rest.trim().is_empty() && !rest.trim().starts_with('Z'))
     }
 
-    /// A shell with a child that would go on, which says the child's number and then does what the script
-    /// says.
+    /// A shell with a child that would go on, which prints the child's number and then does the rest of the
+    /// script.
     fn parent(script: &str) -> (Ended, String) {
         let mut command = Command::new("sh");
         command.args(["-c", &format!("sleep 100 & echo $!; {script}")]).stdout(Stdio::piped());

@@ -1,4 +1,4 @@
-//! A plugin's code, however it is reached, as the plugin answers: checked by nobody yet.
+//! Code of a plugin, in this process or another, as the plugin answers: nothing is checked yet.
 
 use super::about::{Capabilities, Migration};
 use simod_plugin_api::{
@@ -18,7 +18,7 @@ pub struct OwnHandles {
     pub faces: Vec<Vec<u32>>,
 }
 
-/// The calls of the plugin interface. Those of what a plugin cannot do, as
+/// Calls of the plugin interface. Calls that a plugin does not support, as
 /// [`capabilities`](Self::capabilities) tell, are not made.
 pub trait Code: Send + Sync {
     /// Returns the plugin's description of itself.

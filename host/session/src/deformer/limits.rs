@@ -2,10 +2,10 @@
 
 use simod_plugin_api::{Descriptor, ParamDesc};
 
-/// The longest text, in bytes: what is longer has no end.
+/// Longest text, in bytes: a longer one is taken for one without an end.
 pub(crate) const LONGEST_TEXT: usize = 1 << 16;
 
-/// The longest list: what is longer is no count.
+/// Longest list: a greater length is taken for no count.
 pub(crate) const LONGEST_LIST: usize = 10_000;
 
 /// The most that all texts take together, in bytes.

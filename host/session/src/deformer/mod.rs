@@ -1,8 +1,8 @@
 //! The border to foreign code: the only module that calls it.
 //!
-//! Whatever a plugin does short of crashing comes out as an [`Error`] of kind `Plugin`:
-//! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
-//! values that are not finite, input that was written to, descriptions that make no sense.
+//! Every fault of a plugin short of a crash becomes an [`Error`] of kind `Plugin`: errors and panics (which
+//! the plugin's side of the interface turned into errors), samples left unwritten, values that are not
+//! finite, input that was written to, descriptions that make no sense.
 
 mod about;
 #[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
@@ -230,9 +230,9 @@ impl Plugin {
         self.code.new_scratch().map_err(|e| self.failed(&e))
     }
 
-    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the
-    /// samples' deformed positions. On an error its content is meaningless. That the samples are what they
-    /// were is [checked](Self::check_unchanged) by the caller.
+    /// Fills `out`, whose content is NaN so that unwritten positions stay visible, with the samples' deformed
+    /// positions. On an error its content is meaningless. The caller [checks](Self::check_unchanged) that the
+    /// samples are unchanged.
     pub(crate) fn deform(
         &self,
         state: &State,
@@ -491,7 +491,7 @@ pub fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::R
 
 /// The dynamic linker refuses a library, and says why.
 pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
-    // "/path/lib.so: what is wrong": the path is ours to tell.
+    // "/path/lib.so: fault": the path is added by the host.
     let file = path.display();
     let reason = reason.lines().next().unwrap_or_default();
     let reason = reason.strip_prefix(&format!("{file}: ")).unwrap_or(reason);

@@ -1,4 +1,4 @@
-//! The processor's registers, and what a plugin leaves in them.
+//! Registers of the processor, and their state after a call of a plugin.
 
 /// Floating-point modes of this thread: rounding, and the treatment of numbers too small to be normal.
 ///
@@ -16,7 +16,7 @@ pub(super) struct Modes {
 
 #[cfg(target_arch = "x86_64")]
 impl Modes {
-    /// Of MXCSR, the bits that tell what has happened; the others say what to do.
+    /// Bits of MXCSR that tell what has happened; the others are the modes.
     const TOLD: u32 = 0x3f;
 
     /// The modes of this thread's registers.

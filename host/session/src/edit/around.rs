@@ -3,8 +3,8 @@
 //! small part of the time.
 //!
 //! D. Levin, *The approximation power of moving least-squares*, Math. Comp. 67 (1998): the weights with which
-//! the value of the best polynomial follows from the values around. What is affine is met but for rounding,
-//! and what bends along the surface to second order.
+//! the value of the best polynomial follows from the values around. Affine motions are met but for rounding,
+//! and those that bend along the surface to second order.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

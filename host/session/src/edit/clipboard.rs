@@ -28,8 +28,8 @@ pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
     Ok(copied)
 }
 
-/// The steps of a text: of what was [copied], or of a session. Files among their parameters are as seen from
-/// `folder`.
+/// Steps of a text: one that was [copied], or that of a session. Paths of files among their parameters are
+/// relative to `folder`.
 ///
 /// # Errors
 /// The text is no session's, names what makes no sense, or has no steps.

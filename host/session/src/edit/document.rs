@@ -102,7 +102,7 @@ pub enum EditCommand {
 pub enum Change {
     /// The step is done, or left out.
     Enable(bool),
-    /// The step is called otherwise; nothing for what its plugin is called.
+    /// The step gets another title; none for the name of its plugin.
     SetTitle(Option<String>),
     /// Another amount of the deformation is done, from 0 to 1.
     SetAmount(f64),
@@ -248,7 +248,7 @@ impl Document {
         self.redo.clear();
     }
 
-    /// The drag ends: what comes next is undone by itself.
+    /// Ends a drag: the next change is undone by itself.
     pub fn rest(&mut self) {
         self.dragged = None;
     }
@@ -549,7 +549,7 @@ fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
         Change::SetParam { id, value: None } => drop(step.params.remove(&id)),
         Change::SetRegions(mut regions) => {
             for region in &mut regions {
-                // A handle that becomes another region stays where it is.
+                // A handle region that gets another role stays where it is.
                 if region.role != Role::Handle {
                     region.motion = Motion::default();
                 }

@@ -160,8 +160,8 @@ impl Editor {
         self.saved.as_ref().is_some_and(|saved| Arc::ptr_eq(saved, self.document.steps()))
     }
 
-    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. What was
-    /// kept against a crash is not needed any more, and removed.
+    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. The copy
+    /// that was kept against a crash is not needed any more, and removed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -177,8 +177,8 @@ impl Editor {
         [&former, path, &self.opened].into_iter().try_for_each(forget)
     }
 
-    /// Removes what was kept against a crash: the user does not want these steps. They are kept again once
-    /// they change.
+    /// Removes the copy that was kept against a crash: the user does not want these steps. They are kept
+    /// again once they change.
     ///
     /// # Errors
     /// The file cannot be removed.
@@ -191,9 +191,9 @@ impl Editor {
         self.path.as_deref().unwrap_or(&self.opened)
     }
 
-    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside what was opened if
-    /// the session has none yet; if there is anything new to keep. [`recover`] gives them back. Where the
-    /// steps are again as they were saved, or as they were at first, there is nothing to be kept.
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside the file that was
+    /// opened if the session has none yet; if there is anything new to keep. [`recover`] returns them. Where
+    /// the steps are again as they were saved, or as they were at first, there is nothing to be kept.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -210,7 +210,7 @@ impl Editor {
         }
         let path = autosave_path(self.kept_beside());
         let used = self.session_at(&path)?.save(&path)?;
-        // The former files beside the kept session go, as nobody else knows of them.
+        // Former files beside the kept session are removed, as no other session uses them.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
         Ok(())
@@ -276,7 +276,7 @@ pub fn kept_at(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(autosave_path(path)).and_then(|kept| kept.modified()).ok()
 }
 
-/// Removes what was kept of a session: the user does not want it.
+/// Removes the kept copy of a session: the user does not want it.
 ///
 /// # Errors
 /// The file cannot be removed.

@@ -1,4 +1,5 @@
-//! The steps of an edit, done on a sampled model: each as far as it, or what comes before it, has changed.
+//! Evaluation of the steps of an edit on a sampled model: each step is done again only where it, or a step
+//! before it, has changed.
 
 use super::around::Around;
 use super::entry::{Entry, StepId};
@@ -30,7 +31,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub enum Status {
     /// The step is switched off.
     Off,
-    /// The step was done; what the plugin had to say.
+    /// The step was done, with the messages of the plugin.
     Done(Vec<Message>),
     /// The step could not be done. The samples are those after the steps before it.
     Failed(Error),
@@ -113,8 +114,8 @@ impl Evaluated {
         Ok(sampled.rounded_places(places))
     }
 
-    /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
-    /// sampled, and `follow` what turns with the surface.
+    /// Writes the deformed model, whole or not at all. `model` is the model's path, if it was moved since it
+    /// was sampled, and `follow` has the rules for attributes that turn with the surface.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
@@ -170,12 +171,12 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
     Ok(messages)
 }
 
-/// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
-/// the positions.
+/// Evaluation that does steps again and again, and keeps of each step the data that the next time may need:
+/// the state that the plugin prepared, and the positions.
 ///
-/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step, twice as many of those that a
-/// drag moves; a copy of the samples for each refinement. What is of steps that are gone, or switched off, is
-/// let go.
+/// Memory: that of the plugins, 28 bytes a sample, and 12 a sample and step, twice as many for steps that a
+/// drag moves; a copy of the samples for each refinement. Memory of steps that are gone, or switched off, is
+/// freed.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
     /// Positions of the samples before the first step, local coordinates, if not at rest.

@@ -55,7 +55,7 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// The plan for `make`, in whose words a dollar is two.
+/// Text of the plan for `make`, in whose language a dollar is written twice.
 fn makefile(units: &[Unit], program: &str) -> String {
     let file = |number: &usize| units[*number].writes.display().to_string();
     let mut text = format!(

@@ -1,4 +1,4 @@
-//! The folder of a plan, of whatever: what may be replaced there, and what is written first.
+//! Folder of a plan of any kind: the files that may be replaced there, and those that are written first.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

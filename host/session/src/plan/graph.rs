@@ -1,4 +1,4 @@
-//! The content of `plan.toml`: units, and what each comes after.
+//! Content of `plan.toml`: units, and the units that each comes after.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub(super) const CUT: &str = "cut.bin";
 /// P_S.
 pub(super) const SAMPLED: &str = "sampled.simod";
 
-/// P_S with what the steps appended, if any refine.
+/// P_S with the samples that the steps appended, if any refine.
 pub(super) const REFINED: &str = "refined.simod";
 
 /// P_S*.
@@ -174,7 +174,7 @@ impl Planned for Plan {
     }
 }
 
-/// The names of the methods, and of what becomes of normals, in plans.
+/// Names of the methods, and (the next list) of the treatments of normals, in plans.
 pub(super) const METHODS: [(&str, Method); 2] =
     [("blended-jets", Method::BlendedJets), ("projected-barycentric", Method::ProjectedBarycentric)];
 pub(super) const NORMALS: [(&str, Normals); 3] =

@@ -52,7 +52,7 @@ pub struct UnitDone {
     pub written: Option<Reconstructed>,
 }
 
-/// Does a unit of the plan in a folder. What is there already is not done again.
+/// Does a unit of the plan in a folder. Work that is done already is not done again.
 ///
 /// # Errors
 /// There is no such unit, or one that has to be done before was not; the session or the model is not what it
@@ -65,7 +65,8 @@ pub fn do_unit(
 ) -> Result<UnitDone> {
     let unit = unit_of(plan.units(), (folder, number))?;
     let work = UnitRun { plan, unit, folder, progress };
-    // Parts are checked where they are found, and what they were made of may be gone once all is done.
+    // Parts are checked where they are found, and the files that they were made of may be gone once all is
+    // done.
     let checks_itself = matches!(
         unit.stage,
         Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Members | Stage::Faces | Stage::Apply
@@ -171,7 +172,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// A part of what the faces tell.
+    /// Reads a part of the faces for what they tell of the samples.
     fn faces(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -314,9 +315,9 @@ impl UnitRun<'_> {
         Ok(())
     }
 
-    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from
-    /// the store, and what tells that it was sent from the plan, so that units begin again with the
-    /// deformation. Of other errors, and parts in files, nothing is taken away.
+    /// Gives up parts that do not fit the sampled model, which are of no use in any output: the parts that
+    /// were sent are removed from the store, and the files that tell of them from the plan, so that units
+    /// begin again with the deformation. After other errors, and for parts in files, nothing is removed.
     fn give_up(&self, e: Error, parts: &[PathBuf], upload: Option<&str>) -> Error {
         let Some(id) = upload.filter(|_| e.kind() == ErrorKind::Mismatch) else { return e };
         let output = &self.plan.output;
@@ -447,8 +448,8 @@ impl UnitRun<'_> {
         Ok(Some(known.iter().map(Mat3::from_cols_array).collect()))
     }
 
-    /// Removes what is not needed any more, and what killed processes have left beside folders; a file that
-    /// cannot be removed hurts nobody.
+    /// Removes files that are not needed any more, and those that killed processes have left beside folders;
+    /// a file that cannot be removed hurts nobody.
     fn tidy(&self) {
         [SAMPLED, REFINED].iter().for_each(|name| Claim::tidy(&self.path(name)));
         let parts = self.plan.files_of(self.folder, Stage::Apply);

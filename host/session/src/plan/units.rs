@@ -1,4 +1,4 @@
-//! Units of a plan, of whatever: what is done, and what each comes after.
+//! Units of a plan of any kind: their stages, and the units that each comes after.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -65,8 +65,8 @@ pub enum Stage {
     FaceRuns,
     /// The counts are added up, where clustering is divided.
     Merge,
-    /// The cells that lie wholly within a range are clustered, and what the range has of others is written
-    /// down.
+    /// The cells that lie wholly within a range are clustered, and the range's vertices of other cells are
+    /// written down.
     Cluster,
     /// A group of the cells that ranges share is clustered.
     ClusterShared,
@@ -118,7 +118,7 @@ impl Stage {
     }
 }
 
-/// The content of a `plan.toml`, of whatever.
+/// Content of a `plan.toml` of any kind of plan.
 pub trait Planned: DeserializeOwned {
     /// Format that the file's first line names.
     const FORMAT: &str;

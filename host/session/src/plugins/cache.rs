@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Changes whenever what is kept has another form or meaning.
+/// Number that changes whenever the content of the cache gets another form or meaning.
 const FORM: u32 = 2;
 
 /// Most bytes of a cache.
@@ -80,7 +80,7 @@ impl LibraryCache {
         (entry.stamp == stamp).then(|| entry.about.clone())
     }
 
-    /// Remembers what a library says.
+    /// Remembers the description of a library.
     pub fn put(&mut self, path: &Path, stamp: LibraryStamp, about: About) {
         self.content.libraries.insert(path.to_owned(), LibraryEntry { stamp, about });
         self.changed = true;

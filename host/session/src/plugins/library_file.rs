@@ -36,7 +36,7 @@ const NATIVE: BinaryFormat = if cfg!(windows) {
 /// The kind of plugin that a library is; an error if it is none, not all there, or for another system.
 pub(super) fn kind(path: &Path) -> Result<EntryPoint> {
     let file = input::open(path)?;
-    // Keeps what is read: headers and symbols, not the code.
+    // The cache keeps the bytes that are read: headers and symbols, not the code.
     let cache = ReadCache::new(file);
     let (what, hint) = match FileKind::parse(&cache) {
         Err(_) => ("is no library", "build or copy it again, or remove it from the plugin folder"),

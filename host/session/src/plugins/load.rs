@@ -28,7 +28,8 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let care = if shipped { Care::Registers } else { Care::Process };
     let _kept = care.enter();
     let copy = fresh_copy(path)?;
-    // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
+    // The name of the copy does not matter once it is loaded; on systems where it does, the file goes when
+    // the system cleans up.
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
         EntryPoint::Rust => {
@@ -56,7 +57,7 @@ fn fresh_copy(path: &Path) -> Result<Option<tempfile::NamedTempFile>> {
     Ok(Some(copy))
 }
 
-/// The functions that a library exports; or what is wrong, and the interface's version that it was built
+/// Functions that a library exports; or an error, and the interface's version that the library was built
 /// with, where known.
 ///
 /// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.

@@ -46,9 +46,9 @@ pub struct Duplicate {
     pub id: String,
     /// The library that is used.
     pub used: PathBuf,
-    /// The one that is not.
+    /// The library that is not used.
     pub unused: PathBuf,
-    /// The version of the one that is not.
+    /// The version of the library that is not used.
     pub unused_version: String,
     /// Whether the library that is not used came with the program.
     pub unused_is_shipped: bool,
@@ -158,7 +158,7 @@ pub struct PluginRegistry {
     slow: Vec<Slow>,
     /// Folders that anybody may write to.
     open: Vec<PathBuf>,
-    /// Libraries that are used whatever others there are.
+    /// Libraries that are used, whatever others with their ids there are.
     chosen: Vec<PathBuf>,
     /// All libraries that were looked at, as they were then, used or not.
     seen: BTreeMap<PathBuf, (LibraryStamp, Option<Arc<Plugin>>)>,
@@ -206,10 +206,10 @@ impl PluginRegistry {
         self.plugins.sort_by(|a, b| a.id().cmp(b.id()));
     }
 
-    /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at
+    /// Looks for plugins in the folders. Folders that do not exist are fine. Libraries that were looked at
     /// before and did not change since are not run, nor loaded before they are used.
     pub fn discover(options: &PluginOptions) -> Self {
-        // Nobody asks to stop.
+        // No user can ask this to stop.
         Self::discover_with(options, &Silent).unwrap_or_default()
     }
 
@@ -226,7 +226,7 @@ impl PluginRegistry {
     /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin,
     /// beside which the former one goes on to work for those that use it.
     pub fn refresh(&mut self, options: &PluginOptions) {
-        // Nobody asks to stop.
+        // No user can ask this to stop.
         let _ = self.refresh_with(options, &Silent);
     }
 
@@ -320,7 +320,7 @@ impl PluginRegistry {
         let known = &mut self.plugins[at];
         let better = match compare_versions(plugin.version(), known.version()) {
             Ordering::Greater => true,
-            // Nobody takes the place of the program's own without something new.
+            // A plugin takes the place of the program's own only with a newer version.
             Ordering::Equal => plugin.is_shipped() && !known.is_shipped(),
             Ordering::Less => false,
         };
@@ -454,7 +454,7 @@ fn open(
         let about = match known {
             Some(about) => about,
             None => {
-                // No process is started for what is no plugin.
+                // No process is started for a file that is no plugin.
                 library_file::kind(file)?;
                 let silence = INTRODUCTION.min(options.worker.silence);
                 let options = Arc::new(WorkerOptions { silence, ..(*options.worker).clone() });
@@ -517,8 +517,8 @@ fn is_named(file: &Path, id: &str) -> bool {
     stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
-/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and what
-/// is no such version is older than all that are.
+/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and a
+/// text that is no such version is older than all that are.
 fn compare_versions(a: &str, b: &str) -> Ordering {
     match (semantic(a), semantic(b)) {
         (Some(a), Some(b)) => a.cmp_precedence(&b),

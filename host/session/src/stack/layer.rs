@@ -135,8 +135,8 @@ pub(crate) struct LayerCache {
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<LayerResult>)>,
-    /// While something is dragged, the result before that: the next one is written there, where nobody looks
-    /// at it any more. Memory that is new takes the system as long as a quick deformation.
+    /// Result before the last one while something is dragged: the next one is written there, as it is not
+    /// read any more. New memory takes the system as long as a quick deformation.
     spare: Option<Arc<[Vec3]>>,
 }
 
@@ -174,8 +174,8 @@ struct LocalStroke {
 }
 
 impl Layer {
-    /// Checks a step, which stands at this place of the session. `before` is what it was before it was
-    /// edited: what it shares with that is not checked again.
+    /// Checks a step at this place of the session. `before` is the layer of the step before it was edited:
+    /// the parts that both share are not checked again.
     pub fn build(
         step: &Deformation,
         place: &str,
@@ -391,8 +391,8 @@ impl Layer {
         Ok(preparation)
     }
 
-    /// The other models that the user gave, by the parameters that name them: as read before, as long as
-    /// their files are what they were.
+    /// Other models that the user gave, by the parameters that name them: as read before, as long as their
+    /// files are unchanged.
     fn other_models(
         &self,
         shape: &RestShape<'_>,
@@ -448,15 +448,15 @@ impl Layer {
         self.key(rest_key).and(&params).and(&regions).end()
     }
 
-    /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of
-    /// files.
+    /// Key of all that the plugin's calls may depend on besides: the plugin itself, the joints, and the
+    /// content of files.
     fn key(&self, rest_key: u64) -> Key {
         let file = |value: &ParamValue| match value {
             ParamValue::File(Some(path)) => Some(stamps(path)),
             _ => None,
         };
         let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
-        // As long as something is kept of it, no other plugin has its place in memory.
+        // A plugin whose key is in use is alive, so that no other plugin has its address.
         Key::from_key(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
     }
 
@@ -580,7 +580,7 @@ impl Layer {
         let shared = || Error::internal("what was just made has another owner");
         let out = Arc::get_mut(&mut images).ok_or_else(shared)?;
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        // Out of its place, where it does not come back after a failure.
+        // The scratch is taken out of its place, to which it does not come back after a failure.
         let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
         preparation.unchecked.fetch_add(1, Ordering::Relaxed);
         let done = motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
@@ -715,7 +715,7 @@ impl Motions {
         Key::from_key(former).and(params).and(transforms).and(handles).and(&strokes).and(effort).and(time)
     }
 
-    /// Calls with what a deformation gets.
+    /// Calls with the input of a deformation.
     fn call<T>(
         &self,
         samples: api::Samples<'_>,

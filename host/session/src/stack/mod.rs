@@ -1,7 +1,7 @@
 //! The stack of deformations: each layer's output is the next one's rest shape.
 //!
 //! Regions are evaluated on the layer's own rest shape. A mask and the step's amount act on the host's side,
-//! whatever the plugin: `p* = p + a m(p) (D(p) - p)`.
+//! for every plugin: `p* = p + a m(p) (D(p) - p)`.
 
 mod layer;
 mod rest;

@@ -1,4 +1,4 @@
-//! The samples as a layer finds them, and how they cross the border.
+//! Samples as a layer finds them, and as they are passed to a plugin.
 
 use glam::{DAffine3, Vec3};
 use rayon::prelude::*;

@@ -33,7 +33,7 @@ impl SharedArena {
         tempfile::tempfile().map(Self)
     }
 
-    /// The one that another process made.
+    /// Arena that another process made.
     pub fn from_file(file: File) -> Self {
         Self(file)
     }
@@ -77,8 +77,8 @@ fn options(range: ArenaRange) -> MmapOptions {
     options
 }
 
-/// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are
-/// alive.
+/// Arena that hands out ranges of a shared file. Bounded by the memory that is in use at a time: the arrays
+/// of the states that are alive.
 pub(super) struct Arena {
     shared: SharedArena,
     end: u64,

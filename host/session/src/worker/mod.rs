@@ -1,4 +1,4 @@
-//! Plugins in processes of their own: what they do to themselves, they do not do to the program.
+//! Plugins in processes of their own, which keep the program from harm that plugins do to themselves.
 //!
 //! The program starts itself once more for each such plugin that is called ([`serve`] is what it then does).
 //! Requests go over a socket, arrays through shared memory: those of the samples are copied once for each
@@ -79,7 +79,7 @@ struct Worker {
     drops: Mutex<Vec<(Request, Option<ArenaRange>)>>,
 }
 
-/// The way to a process; whoever holds it has its attention.
+/// Connection to a process; the thread that holds it talks to the process alone.
 struct ProcessLink {
     socket: UnixStream,
     replies: Receiver<Reply>,
@@ -202,7 +202,7 @@ fn foreign() -> PluginError {
     PluginError::internal("the state or scratch is another plugin's")
 }
 
-/// An answer to another question: the process is not what it should be.
+/// Error of an answer to another request: the process is out of order.
 fn confused() -> PluginError {
     PluginError::internal("the plugin's process answered another question")
 }
@@ -407,7 +407,7 @@ impl CallEnd {
 }
 
 impl Worker {
-    /// Starts a process for a library, and hears what the library is.
+    /// Starts a process for a library, and receives the library's description.
     fn start(library: &Path, options: &Arc<WorkerOptions>, calls: &dyn HostCalls) -> Result<(Self, About)> {
         let refused = |e: std::io::Error| {
             let what = format!("cannot start a process for the plugin {}: {e}", library.display());
@@ -428,7 +428,7 @@ impl Worker {
             errors,
             drops: Mutex::new(Vec::new()),
         };
-        // There is nothing to wait for where it is not to be loaded any more.
+        // A worker whose loading is not wanted any more is not waited for.
         let loaded = this.wait(&lock(&this.link), calls, options.silence, Duration::ZERO);
         match loaded {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),

@@ -21,7 +21,7 @@ const LONGEST: u32 = 1 << 28;
 #[derive(Serialize, Deserialize)]
 pub(super) enum Request {
     /// Loads the library: the first request. Nothing of the library runs before, so that this process is
-    /// ready for whatever that does: it ends with the program by then.
+    /// ready for any behaviour of the library: by then it is set up to end with the program.
     Load,
     Prepare(InputRecord),
     NewScratch,
@@ -58,7 +58,7 @@ pub(super) enum Reply {
         level: u32,
         text: String,
     },
-    /// A number for what was made.
+    /// Number of the state or scratch that was made.
     Made(std::result::Result<u64, PluginFailure>),
     Done(std::result::Result<(), PluginFailure>),
     Handles(std::result::Result<HandlesRecord, PluginFailure>),

@@ -102,7 +102,7 @@ fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
     }
 }
 
-/// Ends this process at once, whatever the plugin's threads and destructors are about.
+/// Ends this process at once, in whatever state the plugin's threads and destructors are.
 fn end() -> ! {
     let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
     std::process::abort()
@@ -232,7 +232,7 @@ impl Calls {
     fn send(&self, reply: &Reply) {
         let mut socket = self.socket.lock().unwrap_or_else(PoisonError::into_inner);
         if protocol::send(&mut *socket, reply).is_err() {
-            // There is nobody to hear it.
+            // The program has gone.
             end();
         }
     }

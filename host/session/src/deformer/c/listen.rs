@@ -7,7 +7,7 @@ use std::ffi::{c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
-/// Hears what a plugin says during one call.
+/// Listener to a plugin during one call.
 pub(super) struct Ear<'a> {
     calls: &'a dyn HostCalls,
     /// The last error that the plugin told: the error in words, and advice.
@@ -153,7 +153,7 @@ unsafe extern "C" fn has(host: *const SimodHost, pose: u32) -> bool {
     guarded(host, false, |ear| ear.calls.lookups().is_some_and(|lookups| lookups.has_triangles(Pose(pose))))
 }
 
-/// Writes what was found; whether something was.
+/// Writes a point that was found; returns whether there is one.
 ///
 /// # Safety
 /// If it is not NULL and aligned, there is room for a point.
