@@ -240,10 +240,10 @@ impl<'a> Details<'a> {
     }
 }
 
-/// So many steps of smoothing, each half way to the mean W of the neighbours, as a sum of Chebyshev's
+/// Steps of smoothing, each of them half way to the mean W of the neighbours, as a sum of Chebyshev's
 /// polynomials: ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those
-/// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all end within a few √n of
-/// them, so that so many polynomials are as good as n steps, and the rest is less than rounding.
+/// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all paths end within a few
+/// √n of half steps, so that so many polynomials are as good as n steps, and the rest is less than rounding.
 struct SmoothingSteps {
     shares: Vec<f64>,
 }
@@ -349,7 +349,7 @@ mod tests {
     #[test]
     fn polynomials_smooth_as_step_after_step_does() {
         let (rest, triangles) = bumpy(20);
-        // And a vertex that no triangle has.
+        // The mesh gets a vertex that no triangle has.
         let rest: Vec<DVec3> = rest.into_iter().chain([DVec3::splat(5.0)]).collect();
         for (radius, about) in [(0.0, 0), (0.04, 1), (0.3, 20), (1.5, 500)] {
             let details = Details::new(&rest, &triangles, radius);

@@ -355,7 +355,7 @@ fn halve(order: &mut [u32], count: usize, middles: &[DVec3]) {
 mod tests {
     use super::*;
 
-    /// So many small triangles along a wound line.
+    /// Many small triangles along a wound line.
     fn some(count: usize) -> Vec<TreeTriangle> {
         let at = |i: f64| DVec3::new(i.sin(), 0.1 * i, (0.7 * i).cos());
         let of = |i: u32| {

@@ -38,7 +38,7 @@ pub struct Angles {
 pub struct VersionsBeside {
     /// Boxes of the finite positions of each version.
     pub bounds: Vec<Bounds>,
-    /// Each pair of versions: (0, 1), (0, 2), …, (1, 2), …
+    /// Differences of each pair of versions: (0, 1), (0, 2), …, (1, 2), …
     pub differences: Vec<((usize, usize), Difference)>,
 }
 
@@ -47,7 +47,7 @@ const BLOCK: usize = 64;
 /// Sums that are kept side by side, each of every so many vertices of a block.
 const LANES: usize = 8;
 
-/// As many vertices as a block has, of one version, coordinate by coordinate.
+/// Vertices of one version, as many as a block has, coordinate by coordinate.
 struct VertexBlock {
     positions: [[f64; BLOCK]; 3],
     normals: [[f64; BLOCK]; 3],
@@ -279,8 +279,8 @@ fn is_direction(n: Vec3) -> bool {
 fn angle(a: DVec3, b: DVec3) -> f64 {
     // The vectors' lengths cancel out.
     let (across, along) = (a.cross(b).length(), a.dot(b));
-    // As libraries' arctangents, but without branches, so that several are found at once: x is at most the
-    // tangent of a sixteenth of a turn, where what the series leaves out is 3e-9.
+    // The arctangent is that of libraries, but without branches, so that several are found at once: x is at
+    // most the tangent of a sixteenth of a turn, where the terms that the series leaves out are 3e-9.
     let (small, large) = (across.min(along.abs()), across.max(along.abs()));
     let x = small / large.max(f64::MIN_POSITIVE);
     let steep = x > std::f64::consts::SQRT_2 - 1.0;

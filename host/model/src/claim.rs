@@ -356,8 +356,8 @@ pub(crate) fn take_permissions(file: &File, from: &Path) -> io::Result<()> {
             && fchown(file, Some(former.uid()), Some(former.gid())).is_err()
             && fchown(file, None, Some(former.gid())).is_err()
         {
-            // Only the superuser gives files away. The group is another one now, and gets no more than
-            // anybody.
+            // The superuser alone gives files away. The group is another one now, and gets no more rights
+            // than others.
             mode = (mode & !0o070) | (((mode & 0o007) << 3) & mode);
         }
         file.set_permissions(fs::Permissions::from_mode(mode))?;

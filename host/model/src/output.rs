@@ -180,7 +180,8 @@ pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
         return Ok(());
     }
     match File::open(folder).and_then(|f| f.sync_all()) {
-        // Some file systems know no such thing, and a folder that may be written need not be readable.
+        // Some file systems cannot synchronise folders, and a folder that may be written need not be
+        // readable.
         Err(e)
             if matches!(
                 e.kind(),

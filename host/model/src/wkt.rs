@@ -125,7 +125,7 @@ mod tests {
         assert!(units("").is_empty() && units("UNIT[\"metre\",1]").is_empty());
     }
 
-    /// As texts are that people wrote, or other programs made readable.
+    /// Texts that people wrote, or other programs made readable, are read as all others.
     #[test]
     fn blanks_and_capitals_make_no_difference() {
         let spread = PLANE.replace('[', " [ ").replace(',', ",\n  ");

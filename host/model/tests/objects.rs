@@ -146,7 +146,7 @@ proptest! {
         content().objects.remove("s3://bucket/parts");
         let mut bytes: Vec<u8> = (0..length).map(|i| (i * 31 % 251) as u8).collect();
         let mut begun = object::begin(path).unwrap();
-        // Some whole parts, in a row, are sent by somebody else.
+        // Some whole parts, in a row, are sent by another process.
         let from = length / part as usize / 3;
         let passed = from..(from + passed).min(length / part as usize);
         let mut tags = BTreeMap::new();

@@ -56,7 +56,7 @@ fn pixel(black: [u8; 3], white: [u8; 3]) -> [u8; 4] {
         return [black[0], black[1], black[2], 255];
     }
     let (black, white) = (black.map(linear), white.map(linear));
-    // As all channels hide alike, their mean rounds least.
+    // The mean of the channels, which all hide alike, rounds least.
     let seen_through = (0..3).map(|i| white[i] - black[i]).sum::<f32>() / 3.0;
     let opacity = (1.0 - seen_through).clamp(0.0, 1.0);
     if opacity < 0.5 / 255.0 {

@@ -137,7 +137,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     for new in given {
         let d = plugin.params().iter().find(|d| d.id == new.id);
         let value = match settings.iter().find(|old| **old == new) {
-            // As the user wrote it.
+            // The value stays as the user wrote it.
             Some(_) => params.get(new.id.as_str()).cloned(),
             None => d.and_then(|d| value(d, &new)),
         };

@@ -315,7 +315,7 @@ impl Run {
             sample(&*model, &Sampling { target, ..*sampling }, folder, progress)
         };
         let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
-        // As it was read, it may be sampled anew.
+        // The model may be sampled anew as it was read.
         let mut read = None;
         if let Some(converted) = converted {
             note_losses(&converted, progress);

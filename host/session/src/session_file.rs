@@ -172,7 +172,7 @@ pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
     let Ok(mut table) = text.parse::<toml::Table>() else { return Ok(Vec::new()) };
     table.remove("output");
     let (folder, mut files) = (path.parent().unwrap_or(Path::new("")), Vec::new());
-    // Only plugins know which texts name files: all those count that are there.
+    // Only plugins know which texts name files: all texts that name a file that is there count.
     texts(&toml::Value::Table(table), &mut |text| {
         files.extend(Some(folder.join(text)).filter(|path| !text.is_empty() && path.is_file()));
     });

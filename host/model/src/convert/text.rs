@@ -15,7 +15,7 @@ enum PositionDigits {
     /// As few digits as tell the number from all others of single precision, or (`Double`) of double.
     Single,
     Double,
-    /// So many decimals; three more where a number lies between these.
+    /// A fixed number of decimals; three more where a number lies between these.
     Decimals(usize),
 }
 
@@ -26,7 +26,7 @@ impl PositionDigits {
             (Some(integers), _) => {
                 let decimals = (0..=12).find(|n| {
                     let power = 10f64.powi(*n);
-                    // As far as doubles tell: a step may be as small as anything.
+                    // The test is up to the precision of doubles: a step may be as small as anything.
                     let on_grid = |x: f64| is_whole(x * power, 0.0);
                     (0..3).all(|axis| on_grid(integers.scale[axis]) && on_grid(integers.offset[axis]))
                 });
@@ -163,7 +163,7 @@ impl ColorStyle {
             let _ = match (kind, self.colors.kind) {
                 (TextFormat::Off, _) => write!(to, "{}", self.scale.byte(number)),
                 (_, Type::F64) => number_to(to, number / self.scale.full(), false),
-                // As many digits as give bytes, words, and singles back.
+                // Numbers have as many digits as give bytes, words, and singles back.
                 _ => number_to(to, number / self.scale.full(), true),
             };
         }

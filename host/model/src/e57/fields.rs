@@ -41,7 +41,7 @@ impl NumberEncoding {
             NumberEncoding::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
             NumberEncoding::Integer { min, max, scale, offset } => {
                 let number = ((value - offset) / scale).round();
-                // Both ends as doubles are exact or beyond what a number can be rounded to.
+                // Both ends as doubles are exact, or beyond every number that rounding gives.
                 if !(number >= min as f64 && number <= max as f64) {
                     return None;
                 }

@@ -203,7 +203,7 @@ fn put(segment: &ScanSegment, fields: &[usize], rows: &[u64], changed: &[usize],
         let mut packed = packed.clone();
         changed.iter().for_each(|index| packed.put(*index, rows[index * fields.len() + i]));
         for run in segment.runs.iter().filter(|run| run.field == *field) {
-            // Behind the last number there may be more bytes.
+            // There may be more bytes behind the last number.
             let end = packed.first + packed.bytes().len() as u64;
             let (start, end) = (run.of_stream.start.max(packed.first), run.of_stream.end.min(end));
             if start < end {

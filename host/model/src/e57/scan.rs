@@ -182,7 +182,7 @@ impl Scan {
         }
         let Some(three) = self.roles.spherical else { return DVec3::ZERO };
         let [range, azimuth, elevation] = three.map(|i| self.field(i).step());
-        // As far as the file says that points are.
+        // The farthest point is at the largest range that the file declares.
         let corner = Corner { is_spherical: true, axis: 0, is_max: true };
         let told = self.described.slots.iter().filter(|slot| slot.corner == corner).map(|slot| slot.value);
         let field = self.field(three[0]);

@@ -153,7 +153,7 @@ impl Following {
         let [before, after] = ratios;
         if after > NEEDLE && before <= NEEDLE {
             self.tally.needles.fetch_add(1, Ordering::Relaxed);
-            // Of positive numbers, the larger ones have the larger bits.
+            // Bits of positive numbers are in the order of the numbers.
             self.tally.longest.fetch_max(after.to_bits(), Ordering::Relaxed);
         }
     }

@@ -428,7 +428,7 @@ impl Accessors<'_> {
             rest = others;
             let elements = self.row(these)?;
             let AccessorBytes { start, stride, count, .. } = *first;
-            // Of positions, there is one owner.
+            // Positions have a single owner.
             let owners = these[0].2.clone();
             layout.regions.push(VertexRows { bytes: start..end, stride, rows: count, elements, owners });
         }

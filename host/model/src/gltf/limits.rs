@@ -111,7 +111,7 @@ fn numbers(array: &RawValue) -> Option<Vec<(&RawValue, f32)>> {
     numbers.into_iter().map(|number| Some((number, with_value(number)?))).collect()
 }
 
-/// As few digits as give the float back, as JSON has them.
+/// Text of a float as JSON has it, with as few digits as give the float back.
 fn shortest(value: f32) -> String {
     let size = value.abs();
     // Zero has no sign that would matter.

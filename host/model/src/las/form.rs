@@ -643,7 +643,7 @@ pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
 pub(super) fn laszip_patches(vlr: u64, start: u64, all: &Summary) -> Vec<(u64, Vec<u8>)> {
     let mut patches = vec![(start, (start + 8 + bytes_of(all)).to_le_bytes().to_vec())];
     if !is_fixed(all) {
-        // Behind compressor, coder, version and options.
+        // The number stands behind compressor, coder, version and options.
         patches.push((vlr + 54 + 12, u32::MAX.to_le_bytes().to_vec()));
     }
     patches

@@ -89,7 +89,7 @@ impl Grammar for Obj {
                 *span = word.map(|at| (start + at) as u32);
             }
         }
-        // As many as there should be, unless the file has changed.
+        // There are as many normals as vertices, unless the file has changed.
         if self.beside && normals != vertices { usize::MAX } else { vertices }
     }
 

@@ -24,7 +24,7 @@ pub(super) enum NormalsAre {
     Beside,
     /// The vertices', in the same order, but elsewhere in the file.
     Apart(TextBlocks),
-    /// Normals are of corners, which share them.
+    /// Normals of corners, which share them.
     Shared(TextBlocks),
     /// So many normals, in too many runs to be read.
     Scattered(u64),

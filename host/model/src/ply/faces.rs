@@ -835,7 +835,7 @@ mod tests {
         }
     }
 
-    /// From any mark to any other, exactly the faces between them are read.
+    /// The faces between any mark and any other are read, and no others.
     #[test]
     fn faces_are_read_between_marks() {
         let lists: Vec<Vec<i64>> = (0..100)
@@ -991,7 +991,7 @@ mod tests {
                 let triangles = read(&bytes).unwrap();
                 for end in 0..bytes.len() {
                     match read(&bytes[..end]) {
-                        // Of a text, the spaces after the last number may be missing.
+                        // The spaces behind the last number of a text may be missing.
                         Ok(read) => {
                             assert_eq!(encoding, Encoding::Ascii);
                             assert_eq!(read, triangles, "{end}");

@@ -43,7 +43,7 @@ fn any_separator_and_header_are_understood() {
         ("easting,northing,height,\"a, b\"\n1,-2.5,3e2,\"q, r\"\n4,5,6,\"\"\n", ".csv"),
         ("\u{feff}1,-2.5,3e2\n4,5,6\n", ".csv"),
         ("\u{feff}y|x|z\n-2.5|1|3e2\n5| 4 |6\n", ".txt"),
-        // As spreadsheets are told what separates columns.
+        // A line that tells spreadsheets the separator.
         ("sep=;\r\nx;y;z\r\n1;-2.5;3e2\r\n4;5;6\r\n", ".csv"),
         ("\u{feff}SEP=,\n1,-2.5,3e2\n4,5,6\n", ".csv"),
         ("2\n1 -2.5 3e2\n4 5 6\n", ".pts"),
@@ -168,14 +168,14 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("3\n1 2 3\n4 5 6\n", ".pts"), "says that it has 3 points, but it has 2");
     assert_eq!(bad("1\n1 2 3\nmore\n", ".pts"), "line 3: \"more\" is no number of points");
     assert_eq!(bad("1,5;2,5;3,5\n", ".csv"), "there is no line of numbers in it");
-    // As some programs of Windows have text, in either byte order.
+    // Text in UTF-16, as some programs of Windows write it, in either byte order.
     let units: Vec<u16> = "\u{feff}x,y,z\n1,2,3\n".encode_utf16().collect();
     for bytes in [u16::to_le_bytes, u16::to_be_bytes].map(|bytes| units.iter().copied().flat_map(bytes)) {
         let utf16 = go_over(&bytes.collect::<Vec<u8>>(), ".csv").unwrap_err();
         assert!(utf16.to_string().ends_with("a text in UTF-16"), "{utf16}");
         assert!(utf16.hint().starts_with("save it as UTF-8"), "{}", utf16.hint());
     }
-    // As a full disk leaves them.
+    // Bytes of zero, as a full disk leaves them.
     assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
     assert_eq!(bad("1 2 3\n\n\0\0\0\n4 5 6\n", ".xyz"), "line 3: a byte of zero before vertex 1");
     let lines = "1 2 3\r\n".repeat(5000);

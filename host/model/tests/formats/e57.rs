@@ -655,7 +655,7 @@ fn angles_get_other_ranges_where_their_bits_allow() {
             assert!((*wanted - *found).length() < 0.02, "{field}: {found} for {wanted}");
         }
     }
-    // As far apart as no range of so many bits is wide, and next to others that stay.
+    // Points are farther apart than any range of so many bits is wide, and next to others that stay.
     let mut model = open(&bytes, ".e57").unwrap();
     let before = read(model.as_ref()).unwrap().0;
     let moves: Vec<[DVec3; 2]> =

@@ -356,7 +356,7 @@ fn a_motion_changes_what_it_should_and_nothing_else() {
         change(at, 12, 40, 12);
         change(at + 480, 16, 20, 16);
         assert!((0..of_old.len()).all(|i| changed[i] || of_old[i] == of_new[i]));
-        // And all text but numbers.
+        // All text but numbers is kept.
         let text = |bytes: &[u8]| {
             let json = &bytes[20..20 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize];
             let mut text = String::from_utf8(json.to_vec()).unwrap().trim_end().to_string();

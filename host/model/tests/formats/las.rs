@@ -580,7 +580,7 @@ fn check_moved(spec: &Spec, positions: &[[i32; 3]], map: impl Fn(DVec3) -> DVec3
     assert!(after.vlrs.iter().eq(before.vlrs.iter().filter(keeps)));
     assert!(after.evlrs.iter().eq(before.evlrs.iter().filter(keeps)));
     assert!(out.ends_with(&spec.behind));
-    // And we read what we wrote.
+    // The file that was written can be read.
     let file = file(&out);
     let model = open(file.path()).unwrap();
     assert_eq!(read(model.as_ref(), 0, 1000).0, after.positions);

@@ -33,7 +33,7 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("COFF", "1 2 3 255 0 0 255"), is("COFF", 0, "red green blue alpha"));
     assert_eq!(of("CNOFF", "1 2 3 0 0 1 0.5 0.5 0.5"), is("CNOFF", 2, "red green blue"));
     assert_eq!(of("STOFF", "1 2 3 0.5 0.25"), is("STOFF", 0, "s t"));
-    // As MeshLab has it.
+    // The letters as MeshLab has them.
     assert_eq!(of("CSTOFF", "1 2 3 9 8 7 6 0.5 0.25"), is("STCOFF", 0, "red green blue alpha s t"));
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
@@ -46,7 +46,7 @@ fn colours_may_come_before_normals() {
     assert_eq!(model.info().format, "NCOFF");
     let (_, normals) = read(model.as_ref()).unwrap();
     assert_eq!(normals, [Vec3::Z, Vec3::new(0.6, 0.0, 0.8)]);
-    // Also where they are none that are known, as a place in a table of colours.
+    // The attributes are unknown also where a vertex has a place in a table of colours.
     let by_index = check_whole(b"NCOFF\n2 0 0\n1 2 3 7 0 0 1\n4 2 3 8 0.6 0 0.8\n", ".off");
     assert_eq!(read(by_index.as_ref()).unwrap().1, normals);
     assert!(by_index.info().attributes.is_empty());

@@ -67,7 +67,7 @@ impl Edit for Twist {
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         for (i, p) in versions[0].positions.iter_mut().enumerate() {
-            // As a whole, and by the vertex.
+            // The model moves as a whole, and each vertex by itself.
             p.z += 0.25 * p.x + ((chunk.first + i as u64) % 7) as f64;
         }
         Ok(())

@@ -372,7 +372,7 @@ proptest! {
         let tail = read(&*model, cut..info.vertices).unwrap();
         prop_assert_eq!(bits(&tail).0, bits(&all).0.split_off(cut as usize));
 
-        // As a string the difference is told in full.
+        // The bytes are compared as strings, so that a difference is printed in full.
         let same = rewrite(&*model, |_| {}).unwrap();
         prop_assert!(same == bytes, "{:?}\n{:?}", same.escape_ascii().to_string(), bytes.escape_ascii().to_string());
 
@@ -576,7 +576,8 @@ fn a_large_file_cut_off_is_noticed_when_opened() {
 fn a_length_that_fits_by_chance_does_not_pass() {
     let spec = Spec { faces: Faces::Mixed, ..Spec::new(Little) };
     let bytes = spec.build(&grid(300_000));
-    // As long as if all faces were like the first one: group, triangle, no texcoord, flags; and two edges.
+    // The file is as long as if all faces were like the first one: group, triangle, no texcoord, flags; and
+    // two edges.
     let faces = 150_000;
     let first = 2 + 1 + 3 * 4 + 1 + 2;
     let all: usize = (0..faces).map(|face| first + face % 3 * 4 + face % 2 * 4).sum();
@@ -842,7 +843,8 @@ fn three_chunks(encoding: Encoding) -> Box<dyn Model> {
     open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap()
 }
 
-/// Of several chunks that fail, perhaps at the same time, the first one tells, and all before it is written.
+/// The first one of several chunks that fail, perhaps at the same time, is reported, and all chunks before it
+/// are written.
 #[test]
 fn an_error_of_the_edit_stops_everything() {
     for encoding in [Little, Ascii] {

@@ -203,7 +203,8 @@ fn splats_turn_as_far_as_their_bits_tell() {
             assert!(q.distance(map() * *p) < step, "{q} is not {}", map() * *p);
         }
         for ((s, opacity), (t, other)) in shapes(model.as_ref()).iter().zip(shapes(found.as_ref())) {
-            // Of most: where axes are much longer than others, what the steps of the quaternion turn is seen.
+            // Most splats are near: where axes are much longer than others, the rotation by a step of the
+            // quaternion is seen.
             let expected = map() * *s * map().transpose();
             let size = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
             assert!(size(t - expected) < bound * size(expected), "{t} is not {expected}");

@@ -528,7 +528,8 @@ fn one_step_alone_and_the_others_again() {
     document.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&document), [false, true, false, true], "another one");
     assert!(document.apply(EditCommand::Solo { at: 1 }).is_err());
-    // Of one that was opened so, all others are meant.
+    // A document that was opened with a single step switched on knows no steps that it switched off: all
+    // others are meant.
     let mut opened = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
     opened.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&opened), [true; 4]);

@@ -652,7 +652,7 @@ fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     e.saying(format!("{plugin}: parameter `{param}`: {file}{text}"))
 }
 
-/// Some ids of a list that may be long.
+/// List of some ids, which may be long, for messages.
 fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
     const MOST: usize = 12;
     let mut text = ids.clone().take(MOST).collect::<Vec<_>>().join(", ");

@@ -527,8 +527,8 @@ fn serving(
     command.args(arguments).arg(library);
     command.args([options.memory.to_string(), std::process::id().to_string()]);
     command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
-    // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process
-    // moves them.
+    // Both ends of the connection are handed over as standard streams, which needs nothing unsafe. The
+    // process moves them.
     command.stdin(Stdio::from(OwnedFd::from(theirs)));
     command.stdout(Stdio::from(arena.shared().file()?));
     command.stderr(Stdio::piped());

@@ -101,7 +101,7 @@ fn a_changed_library_is_loaded_anew() {
     let (old, other) = (registry.get("warp").unwrap().clone(), registry.get("misbehaving").unwrap().clone());
     registry.refresh(&common::options(folder.path()));
     assert!(std::sync::Arc::ptr_eq(registry.get("warp").unwrap(), &old), "nothing changed");
-    // As a compiler does it: another file of the same name.
+    // The library is replaced as by a compiler: by another file of the same name.
     std::fs::remove_file(&file).unwrap();
     copy("simod_rbf", folder.path(), "tool");
     registry.refresh(&common::options(folder.path()));

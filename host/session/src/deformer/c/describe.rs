@@ -45,7 +45,7 @@ unsafe fn param(d: &SimodParamDesc, index: usize) -> PluginResult<ParamDesc> {
         let id = text(d.id, &format!("the id of parameter {index}"))?;
         let of = |what: &str| format!("the {what} of parameter `{id}`");
         let kind = ParamKind(d.kind);
-        // Of a kind that this version does not know, nothing is: it is refused.
+        // A kind that this version does not know has no fixed count of numbers: it is refused.
         let fixed = match kind {
             ParamKind::FLOAT | ParamKind::INT | ParamKind::BOOL | ParamKind::MODEL => 1,
             ParamKind::DIRECTION | ParamKind::POINT => 3,
