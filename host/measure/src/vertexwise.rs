@@ -342,8 +342,8 @@ fn each_two(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |i| (i + 1..count).map(move |k| (i, k)))
 }
 
-/// Takes vertices of all versions, of which the number of the first is told: on any thread, a range of the
-/// model after the other.
+/// Takes vertices of all versions, with the number of the first one: on any thread, a range of the model
+/// after the other.
 pub type Also<'a> = dyn Fn(u64, &[Vertices<'_>]) -> Result<()> + Sync + 'a;
 
 /// Compares versions of a model, all with all, in one reading, of ranges on all threads where the files

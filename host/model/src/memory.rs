@@ -71,7 +71,7 @@ impl Drop for Reusing {
     }
 }
 
-/// Gives all that is free back to the system, and large blocks from now on.
+/// Returns all free memory to the system now, and large blocks from now on.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn give_back() {
     set_allocator(LARGE, LITTLE_FREE);

@@ -90,7 +90,7 @@ pub trait Upload: Send {
 /// Store that opens objects in this process.
 static STORE: OnceLock<Box<dyn Store>> = OnceLock::new();
 
-/// Says what opens objects, once, before any is opened.
+/// Installs the store that opens objects, once, before any object is opened.
 pub fn install(store: Box<dyn Store>) {
     let _ = STORE.set(store);
 }

@@ -54,7 +54,7 @@ impl ObjectOutput {
         Ok(Self::with_parts(path, object::go_on(path, id)?, part_bytes(bytes)))
     }
 
-    /// Goes on with an upload that was begun, in parts of so many bytes.
+    /// Output that goes on with an upload that was begun, in parts of so many bytes.
     pub fn with_parts(path: &Path, begun: BegunUpload, part_bytes: u64) -> Self {
         let (held, tags) = (BTreeMap::new(), BTreeMap::new());
         Self { path: path.to_owned(), begun, part_bytes, at: 0, held, tags }
@@ -140,7 +140,7 @@ impl ObjectOutput {
         Ok(())
     }
 
-    /// Says that nothing more comes, and waits until all has arrived.
+    /// Ends the object, and waits until all parts have arrived.
     ///
     /// # Errors
     /// A part did not arrive.

@@ -42,7 +42,7 @@ impl ObjectRange {
         Ok(Self { begun, part_bytes, at: 0, before: Vec::new(), open: Vec::new() })
     }
 
-    /// Says, before anything is written, where the range begins.
+    /// Sets the byte of the object at which the range begins, before anything is written.
     pub fn begin_at(&mut self, at: u64) {
         self.at = at;
     }

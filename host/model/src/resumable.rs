@@ -212,8 +212,8 @@ impl ResumableFile {
         self.recorder.record(self.journal.clone())
     }
 
-    /// Says that nothing more comes, and waits until all is on the disk. A later call takes the file for
-    /// finished if it was of more than one part, or is `one_of_several`.
+    /// Ends the file, and waits until all is on the disk. A later call takes the file for finished if it was
+    /// of more than one part, or is `one_of_several`.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.

@@ -152,7 +152,7 @@ impl ResumableFolder {
         self.syncs = false;
     }
 
-    /// Says that nothing more comes.
+    /// Ends the folder: nothing more is written to it.
     ///
     /// # Errors
     /// Not all files were written.

@@ -156,7 +156,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Says that nothing more comes: see [`ResumableFile::complete`].
+    /// Ends the output: see [`ResumableFile::complete`].
     ///
     /// # Errors
     /// As of [`ResumableFile::complete`].

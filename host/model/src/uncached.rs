@@ -27,7 +27,7 @@ pub(crate) struct UncachedFile {
     buffer: AlignedBuffer,
     /// Byte of the file at which the buffer belongs: a multiple of [`BLOCK`].
     offset: u64,
-    /// Offset of the buffer at the beginning.
+    /// Offset at which writing began.
     begin: u64,
     behind: Option<WriteBehind>,
 }

@@ -111,7 +111,8 @@ impl SamplesState {
         Ok(UndoMoment { local, points: points.into(), ..self.now.clone() })
     }
 
-    /// Goes to another time. The arrays stay the same ones as long as there are as many samples.
+    /// Restores the state of another time. The arrays stay the same ones as long as there are as many
+    /// samples.
     fn go_to(&mut self, py: Python<'_>, moment: UndoMoment) -> PyResult<()> {
         if Arc::ptr_eq(&moment.sampled, &self.now.sampled) {
             let points = self.points.bind(py).try_readwrite()?;

@@ -60,7 +60,7 @@ impl Session {
         format!("<simod.Session {:?}: {}>", self.path, self.steps().join(", "))
     }
 
-    /// Does the session: samples its model, deforms the samples, and writes the deformed model, which appears
+    /// Runs the session: samples its model, deforms the samples, and writes the deformed model, which appears
     /// whole or not at all. Gives a `simod.Report`.
     ///
     /// `out` and `model` stand for what the session says. With `measure`, the result is compared with the
@@ -148,10 +148,10 @@ fn tolerance_of(given: &Bound<'_, PyAny>) -> PyResult<Tolerance> {
         .map_err(|e: String| argument(given.py(), &format!("`tolerance` is {text}: {e}"), "give 1e-4, say"))
 }
 
-/// Does several methods on one model, as `file` says, and writes a folder with a page, figures (compare.json)
-/// and pictures. Methods may name functions that `simod.deformer` registered. Gives the figures as
-/// compare.json has them. With `keep_models`, the deformed models stay in the folder; with `allow_commands`,
-/// programs that the file names are run. `progress`: see `Model.sample`.
+/// Runs several methods on one model, which `file` lists, and writes a folder with a page, figures
+/// (compare.json) and pictures. Methods may name functions that `simod.deformer` registered. Gives the
+/// figures as compare.json has them. With `keep_models`, the deformed models stay in the folder; with
+/// `allow_commands`, programs that the file names are run. `progress`: see `Model.sample`.
 #[pyfunction]
 #[pyo3(signature = (file, output, *, model = None, keep_models = false, allow_commands = false, progress = None))]
 pub fn compare<'py>(

@@ -109,7 +109,7 @@ fn described(output: &Path, sampled: &str, units: &[Unit]) -> String {
     json!({"output": output, "sampled": sampled, "units": units}).to_string()
 }
 
-/// Does a unit of the plan in a folder; whether it was not done before.
+/// Does a unit of the plan in a folder; returns whether it was not done before.
 #[pyfunction(name = "_unit")]
 pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     let plugins = registry(py)?;

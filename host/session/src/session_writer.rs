@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, Table};
 
 impl SessionFile {
-    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder.
-    /// Gives the files beside it that it refers to.
+    /// Writes the session, whole or not at all; the model and the output are named relative to its folder.
+    /// Returns the files beside the session that the session refers to.
     ///
     /// # Errors
     /// A file cannot be written; a path is no text.

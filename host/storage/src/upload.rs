@@ -51,7 +51,7 @@ impl PartsUpload {
         }
     }
 
-    /// Goes on with one.
+    /// Goes on with an upload that was begun.
     ///
     /// # Errors
     /// The store takes no parts.

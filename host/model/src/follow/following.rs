@@ -158,7 +158,7 @@ impl Following {
         }
     }
 
-    /// Tells what became of the splats of a file, where users should know.
+    /// Notes what users should know of the splats of a file, which may keep their numbers or become needles.
     pub(crate) fn tell(&self, file: &Path, progress: &dyn Progress) {
         self.notes().iter().for_each(|note| progress.note(&format!("{}: {note}", file.display())));
     }

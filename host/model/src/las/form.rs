@@ -255,7 +255,7 @@ fn wkt(content: &ConversionInput<'_>, format: u8, losses: &mut Vec<String>) -> V
     }
 }
 
-/// Tells what of a model points have no place for.
+/// Adds the losses of a model's content that points have no place for.
 fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String>) {
     if content.faces.triangles > 0 {
         losses.push(counted(content.faces.polygons, "face"));
@@ -574,7 +574,7 @@ impl LasForm {
         Ok(())
     }
 
-    /// Takes the records away of vertices that have no position; returns how many there were.
+    /// Removes the records of vertices that have no position; returns their number.
     fn leave_out(&self, rows: &WrittenRows<'_>, records: &mut Vec<u8>) -> usize {
         let mut kept = 0;
         for (i, _) in rows.positions.iter().enumerate().filter(|(_, p)| p.is_finite()) {

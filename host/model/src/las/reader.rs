@@ -71,7 +71,7 @@ impl<'a> LasReader<'a> {
         Ok(count)
     }
 
-    /// Gives the next vertices of blocks that were read ahead.
+    /// Fills a chunk with the next vertices of blocks that were read ahead.
     fn read_compressed(
         &mut self,
         chunk: &mut VertexChunk,

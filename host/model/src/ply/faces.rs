@@ -476,7 +476,7 @@ impl<'a> RecordCursor<'a> {
         Ok(value)
     }
 
-    /// Takes the next word of a text file: where in the window's block it lies.
+    /// Takes the next word of a text file, and returns its range in the window's block.
     fn word(&mut self, plan: &RecordPlan) -> Result<Range<usize>> {
         loop {
             let window = &mut self.window;

@@ -146,7 +146,7 @@ impl Walker {
         }
     }
 
-    /// Goes on to the next step that something has to be read for.
+    /// Goes on to the next step for which bytes have to be read.
     fn settle(&mut self) {
         while self.skip == 0 {
             let Some(plan) = self.plans.get(self.plan) else { return };

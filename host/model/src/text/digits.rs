@@ -36,7 +36,7 @@ impl Default for Survey {
 }
 
 impl Survey {
-    /// Takes a number of the coordinate that has this index.
+    /// Includes a number of the coordinate that has this index.
     pub(crate) fn take(&mut self, coordinate: usize, word: &[u8]) {
         let Some(value) = text::parse(crate::Scalar::F64, word).filter(|v| v.is_finite()) else { return };
         let range = &mut self.ranges[coordinate % 3];

@@ -203,7 +203,7 @@ pub fn cases(count: u32) -> ProptestConfig {
     }
 }
 
-/// Goes over all of a file, as a command would.
+/// Reads all of a file, as commands do.
 pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     let model = open(bytes, extension)?;
     model.check_complete(&Silent)?;

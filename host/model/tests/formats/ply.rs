@@ -479,7 +479,7 @@ proptest! {
     }
 }
 
-/// Does with a file all that can be done, up to the first error.
+/// Reads and rewrites a file in all ways, up to the first error.
 fn exhaust(bytes: &[u8]) -> Result<()> {
     let model = open(bytes)?;
     model.check_complete(&Silent)?;
@@ -868,7 +868,7 @@ fn an_error_of_the_edit_stops_everything() {
     }
 }
 
-/// Takes so many bytes, then is full.
+/// Output that takes so many bytes, and then is full.
 struct Full(usize);
 
 impl Write for Full {

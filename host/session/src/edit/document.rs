@@ -206,8 +206,8 @@ impl Document {
         &self.steps
     }
 
-    /// Does a command. Those that follow each other and set the same thing, as while a handle is dragged, are
-    /// undone as one, until [`rest`](Self::rest).
+    /// Does a command. Commands that follow each other and set the same thing, as while a handle is dragged,
+    /// are undone as one, until [`rest`](Self::rest).
     ///
     /// # Errors
     /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the
@@ -230,8 +230,8 @@ impl Document {
         steps.into_iter().map(|step| self.entry(step)).collect()
     }
 
-    /// Takes other steps instead of all that are there; `label` says what that is. They are some that the
-    /// document has had, or [its entries](Self::entries).
+    /// Replaces all steps by others; `label` names the change. The others are some that the document has had,
+    /// or [its entries](Self::entries).
     pub fn replace(&mut self, label: &str, steps: Arc<[Entry]>) {
         self.rest();
         let before = std::mem::replace(&mut self.steps, steps);
@@ -440,7 +440,7 @@ fn check_place(at: usize, end: usize, count: usize) -> Result<()> {
     Err(Error::argument(what, "places are counted from 0"))
 }
 
-/// Does one of the commands that are of groups; the others are done [before](Document::changed).
+/// Does a command on groups; commands of other kinds are done [before](Document::changed).
 fn change_groups(steps: &mut Vec<Entry>, command: EditCommand) -> Result<()> {
     let count = steps.len();
     let check = |at: usize, end: usize| check_place(at, end, count);

@@ -146,7 +146,7 @@ impl Editor {
         self.path.as_deref()
     }
 
-    /// Says where the deformed model goes, when the session is saved the next time.
+    /// Sets the path of the deformed model, which the session names when it is saved the next time.
     pub fn set_output(&mut self, output: PathBuf) {
         self.session.output = Some(output);
     }

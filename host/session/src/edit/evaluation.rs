@@ -498,7 +498,7 @@ fn nothing_to_refine(finer: Finer) -> &'static str {
     }
 }
 
-/// Calls with the deformation so far; nothing where nothing has moved yet.
+/// Calls with the field of the deformation so far; with none where no sample has moved yet.
 fn with_field<T>(
     sampled: &SampledModel,
     positions: &[Vec3],
@@ -523,7 +523,7 @@ fn with_appended(
     deformed.iter().copied().chain(more).collect()
 }
 
-/// Calls with the samples as deformations take them.
+/// Calls with the samples in the form in which deformations take them.
 fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T) -> T {
     let samples = &sampled.samples;
     call(&RestShape {

@@ -460,7 +460,7 @@ impl Layer {
         Key::from_key(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
     }
 
-    /// Calls with what plugins get where nothing moves yet.
+    /// Calls with the input of a preparation, in which nothing moves yet.
     fn prepare_input<T>(
         &self,
         rest: &LayerRest,
