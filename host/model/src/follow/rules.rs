@@ -111,7 +111,8 @@ impl Follow {
     pub const SPLATS: Self =
         Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
 
-    /// These rules, with `declared` as their declarations if they declare nothing and recognise splats.
+    /// Rules with `declared` as their declarations, if they declare nothing and recognise splats; else the
+    /// rules as they are.
     pub fn or_declared(mut self, declared: &BTreeMap<String, TensorKind>) -> Self {
         if self.declared.is_empty() && self.splats {
             self.declared.clone_from(declared);

@@ -583,7 +583,7 @@ fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
         }
         Change::RemoveStroke { stroke } if stroke < step.strokes.len() => drop(step.strokes.remove(stroke)),
         Change::RemoveStroke { stroke } => return Err(no_stroke(stroke, step.strokes.len())),
-        // These changes are of all steps, or of refinements.
+        // Changes of steps in general, or of refinements.
         Change::Enable(_) | Change::SetTitle(_) | Change::SetRefine(_) => return Err(of_another_kind()),
     }
     Ok(())
