@@ -70,7 +70,8 @@ static DIRECTIONS: LazyLock<[DVec3; MOST]> = LazyLock::new(|| {
     })
 });
 
-/// Matrix for each band that gives coefficients from the values in the first directions.
+/// Matrix for each band that gives coefficients from the values in the first directions: for each direction,
+/// the part of its value in all coefficients.
 static INVERSES: LazyLock<[Square; 3]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let values = DIRECTIONS.map(|d| band(i + 1, d));

@@ -7,7 +7,7 @@ use super::json::{Accessor, GltfDocument};
 use crate::text::DAMAGED;
 use crate::{Error, Result, Type};
 
-/// Advice that makes a plain file of one with other content.
+/// Advice on writing a file plainly that has other things in it.
 pub(super) const PLAIN: &str = "have gltfpack write it plainly: gltfpack -noq -i IN.glb -o OUT.glb";
 
 /// Advice about an accessor whose numbers are compressed.
