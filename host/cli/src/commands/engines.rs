@@ -1,4 +1,4 @@
-//! What does the units of a plan: the value of `--emit`.
+//! The engines that do the units of a plan: the value of `--emit`.
 
 use clap::ValueEnum;
 use simod_session::plan::Emit;

@@ -1,4 +1,5 @@
-//! What turns with the surface: the same for all commands that write deformed models.
+//! The options on attributes that turn with the surface: the same for all commands that write deformed
+//! models.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +34,8 @@ enum OpacityName {
 }
 
 impl FollowOptions {
-    /// What follows, where a session declares what the command line does not.
+    /// Attributes that follow the surface; the session's declaration holds where the command line gives
+    /// none.
     pub fn follow(&self, declared: &BTreeMap<String, TensorKind>) -> Follow {
         let opacity = match self.opacity {
             OpacityName::Keep => Opacity::Keep,
