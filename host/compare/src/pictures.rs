@@ -90,8 +90,8 @@ impl<'a> Easel<'a> {
         }
     }
 
-    /// Draws `models`, of which the first is at rest. `files` has, for the others, the beginnings of their
-    /// files' names, and their methods' names. Where vertices were chosen, these stand for the whole
+    /// Draws `models`, of which the first is at rest. `files` has, for each of the others, its method's
+    /// number and the beginning of its files' names. Where vertices were chosen, these stand for the whole
     /// models, but not for parts of them. Returns the pictures' names and contents, and writes the names
     /// into the record.
     pub fn draw(

@@ -61,7 +61,7 @@ impl Budget {
         self.besides += took;
     }
 
-    /// Learns the time of a frame that added [`step`](Self::step) splats.
+    /// Learns the time of a frame that added `step` splats.
     pub fn learn_step(&mut self, took: Duration) {
         let ratio = (Self::REST * self.goal).as_secs_f64() / took.as_secs_f64().max(1e-9);
         let step = self.step as f64 * ratio.clamp(0.5, 2.0);

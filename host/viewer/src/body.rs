@@ -40,7 +40,7 @@ pub struct Ball {
 }
 
 impl Ball {
-    /// Whether a segment comes nearer to the ball's middle than [`WITHIN`] of its radius.
+    /// Whether a segment comes nearer to the ball's middle than `WITHIN` of its radius.
     pub fn holds_some_of(&self, [a, b]: [DVec3; 2]) -> bool {
         let (along, to) = (b - a, self.center - a);
         let square = along.length_squared();

@@ -4,7 +4,7 @@
 //! where details are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*,
 //! SIGGRAPH 2023.
 //! Each sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample
-//! and each vertex, with mean value coordinates each that does not move as it did the last time.
+//! and each vertex, with mean value coordinates for each vertex that moves otherwise than the last time.
 
 mod made;
 mod mean_value;

@@ -9,9 +9,9 @@ pub const MOST: usize = 1000;
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 4 << 20;
 
-/// The points of a file, in its coordinates: lines of three numbers, separated by commas, semicolons or white
-/// space; a first line without numbers is a heading. OBJ has vertices, in the order of its first `l` line
-/// where there is one.
+/// Points of a file, in the file's coordinates: lines of three numbers, separated by commas, semicolons or
+/// white space; a first line without numbers is a heading. OBJ files have vertices, in the order of their
+/// first `l` line where there is one.
 ///
 /// # Errors
 /// The file cannot be read, a line is not what it should be, or there are fewer than two points or more than
@@ -38,7 +38,7 @@ pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     }
 }
 
-/// What is wrong, and in which line.
+/// Line of a defect, and the defect.
 type BadPoints = (usize, String);
 
 fn of_lines(text: &str) -> Result<Vec<DVec3>, BadPoints> {
@@ -103,8 +103,8 @@ fn point(fields: &[&str]) -> Result<DVec3, String> {
     Ok(DVec3::new(number(x)?, number(y)?, number(z)?))
 }
 
-/// So many points through the model along the longest side of its box: each in the middle of the samples
-/// about it.
+/// Points through the model along the longest side of its box, evenly apart: each in the middle of the
+/// samples around it.
 pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) -> Vec<DVec3> {
     let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
     let size = high - low;
@@ -123,7 +123,7 @@ pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) ->
     }
     let mut middle = low.midpoint(high);
     let along = (0..points).zip(sums).map(|(i, (sum, weight))| {
-        // Where there are no samples it goes on as it was.
+        // Without samples around it, a point has the middle of the one before.
         middle = if weight > 0.0 { sum / weight } else { middle };
         middle[axis] = low[axis] + i as f64 * step;
         middle
