@@ -131,7 +131,7 @@ impl Case {
         Ok(handles)
     }
 
-    /// This case with all regions and handles at rest, and without strokes.
+    /// Same case with all regions and handles at rest, and without strokes.
     pub fn at_rest(mut self) -> Self {
         self.transforms.fill(Affine::IDENTITY);
         self.handles.fill(Affine::IDENTITY);
@@ -139,20 +139,20 @@ impl Case {
         self
     }
 
-    /// This case at another time of a sequence.
+    /// Same case at another time of a sequence.
     pub fn at_time(mut self, time: Time) -> Self {
         self.time = Some(time);
         self
     }
 
-    /// This case with other attributes: their names, and the value of each for sample `i`.
+    /// Same case with other attributes: their names, and the value of each for sample `i`.
     pub fn with_attributes(mut self, names: &[&str], value: impl Fn(usize) -> f32) -> Self {
         let values: Vec<f32> = (0..self.positions.len()).map(value).collect();
         self.attributes = Some(names.iter().map(|name| ((*name).to_owned(), values.clone())).collect());
         self
     }
 
-    /// This case with another model in the place of those that parameters name, or with none.
+    /// Same case with another model in the place of those that parameters name, or with none.
     pub fn with_other(mut self, other: Option<Other>) -> Self {
         self.params.name_models(if other.is_some() { OTHER } else { "" });
         self.other = other;
@@ -165,7 +165,7 @@ impl Case {
         Self::new(plugin, positions, normals)
     }
 
-    /// This case with other parameters, as a user would write them; parameters that are not given have
+    /// Same case with other parameters, as a user would write them; parameters that are not given have
     /// their defaults.
     pub fn with_params(&self, plugin: &Plugin, given: &toml::Table) -> Checked<Self> {
         let corner = DVec3::from_array;
@@ -182,7 +182,7 @@ impl Case {
         self.params.some(prepares) == other.params.some(prepares)
     }
 
-    /// This case without any sample.
+    /// Same case without any sample.
     pub fn without_samples(mut self) -> Self {
         self.positions.clear();
         self.normals.clear();
@@ -195,7 +195,7 @@ impl Case {
         self
     }
 
-    /// This case with all samples in handles of one motion: as many handles as the plugin needs, each with
+    /// Same case with all samples in handles of one motion: as many handles as the plugin needs, each with
     /// a part of the samples.
     pub fn all_handles(mut self, handles: usize, transform: Affine) -> Self {
         let count = self.positions.len();

@@ -115,7 +115,7 @@ pub fn rule(id: &str) -> Result<&'static Rule> {
 /// The library stays loaded, and its effects on this process are unknown.
 pub fn check_rule(file: &Path, rule: &Rule, seed: u64) -> Finding {
     if rule.id == UNWINDS {
-        // This rule does not run the library.
+        // The rule does not run the library.
         return description::unwinds(file);
     }
     let plugin = match load_unchecked(file) {

@@ -110,7 +110,7 @@ impl ViewerScene {
         &self.shading().axes
     }
 
-    /// This scene with the error to be expected, whose computation takes as long as preparing to write.
+    /// The same scene with the error to be expected, whose computation takes as long as preparing to write.
     pub(crate) fn measured(self) -> Self {
         let still = *self.positions == *self.sampled.samples.positions;
         let expected = if still {

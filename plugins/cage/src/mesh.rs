@@ -90,7 +90,7 @@ impl Cage {
         }
     }
 
-    /// This cage with other polygons to be shown.
+    /// The same cage with other polygons to be shown.
     pub fn with_faces(self, faces: Vec<Vec<u32>>) -> Self {
         Self { faces, ..self }
     }

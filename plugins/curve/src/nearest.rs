@@ -145,7 +145,7 @@ impl NearestOnCurve {
             let (jet, piece) = jet(t);
             Foot { piece: piece as u32, t, distance: jet.position.distance(p) }
         };
-        // This is an end of the curve, or a bend without such a place between.
+        // The place is an end of the curve, or a bend without such a place between.
         if slope(&jet(low).0) >= 0.0 || slope(&jet(high).0) <= 0.0 {
             let [a, b] = [foot(low), foot(high)];
             return if a.distance <= b.distance { a } else { b };

@@ -23,7 +23,7 @@ pub struct FollowOptions {
     max_anisotropy: Option<f64>,
 }
 
-/// What becomes of the opacity of splats.
+/// Treatment of the opacity of splats.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum OpacityName {
     /// It stays, as where splats are stretched with the surface they cover as much of it

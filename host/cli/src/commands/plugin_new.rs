@@ -31,7 +31,7 @@ pub struct New {
     lang: Language,
 }
 
-/// What a plugin is written in.
+/// Programming language of a plugin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Language {
     /// Rust, with the interface's crate

@@ -59,7 +59,7 @@ impl PluginArgs {
         &self.r#use
     }
 
-    /// These options, with libraries to use where none were chosen.
+    /// The same options, with libraries to use where none were chosen.
     pub fn or_chosen(mut self, files: &[PathBuf]) -> Self {
         if self.r#use.is_empty() {
             self.r#use = files.to_owned();

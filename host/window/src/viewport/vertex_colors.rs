@@ -19,7 +19,7 @@ impl Mixing {
     /// The mixing that changes nothing.
     pub const NONE: Self = Self { keep: 1.0, add: [0.0; 3] };
 
-    /// This mixing with a share of another colour over it.
+    /// The same mixing with a share of another colour over it.
     pub fn with(self, color: [u8; 3], share: f32) -> Self {
         let add = |i: usize| self.add[i] * (1.0 - share) + f32::from(color[i]) * share;
         Self { keep: self.keep * (1.0 - share), add: [0, 1, 2].map(add) }
