@@ -86,7 +86,7 @@ fn matched(pattern: &Path, path: &Path) -> Option<String> {
     if text.matches('*').count() != 1 || text.contains(['?', '[']) {
         return None;
     }
-    // From the end, as a leading "./" may be missing in the path.
+    // Components are compared from the end, as a leading "./" may be missing in the path.
     let mut pairs = pattern.components().rev().zip(path.components().rev());
     pairs.find_map(|(pattern, found)| {
         let (Component::Normal(pattern), Component::Normal(found)) = (pattern, found) else { return None };

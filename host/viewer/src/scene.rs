@@ -127,7 +127,7 @@ impl ViewerScene {
         self.positions.len()
     }
 
-    /// Never: a model has at least one sample.
+    /// Whether there are no samples: never, as a model has at least one.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }

@@ -93,7 +93,7 @@ pub fn of_film(format: ScreenshotFormat) -> ScreenshotFormat {
 /// The pictures that are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TurntableWork {
-    /// So many frames, into a folder.
+    /// A turntable of so many frames, into a folder.
     Turntable(u32),
     /// A picture, to a file.
     Picture,

@@ -66,7 +66,7 @@ fn of_obj(text: &str) -> Result<Vec<DVec3>, BadPoints> {
         let mut fields = text.split_whitespace();
         match fields.next() {
             Some("v") => {
-                // Behind the coordinates there may be a weight or a colour.
+                // Coordinates may be followed by a weight or a colour.
                 let fields: Vec<&str> = fields.take(3).collect();
                 vertices.push(point(&fields).map_err(|what| (line, what))?);
             }
@@ -112,7 +112,7 @@ pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) ->
     let step = size[axis] / (points - 1) as f64;
     let mut sums = vec![(DVec3::ZERO, 0.0); points];
     for p in samples.iter().map(|p| DVec3::from(p.map(f64::from))) {
-        // Between two points, a sample counts for both.
+        // Samples between two points count for both.
         let place =
             if step > 0.0 { ((p[axis] - low[axis]) / step).clamp(0.0, (points - 1) as f64) } else { 0.0 };
         let before = (place as usize).min(points - 2);

@@ -23,9 +23,9 @@ pub struct MovedPoints<'a> {
     /// Displacements along the third axis follow each other, then those along the second one. The fourth
     /// number is 0: four fit the processor better.
     displacements: Vec<DVec4>,
-    /// Along each axis, the control points from the first to the last moved one; empty if none was moved.
+    /// Control points from the first to the last moved one along each axis; empty if none was moved.
     spans: [Range<usize>; 3],
-    /// For each line along the third axis, whether one of its control points was moved.
+    /// Whether one of its control points was moved, for each line along the third axis.
     lines: Vec<bool>,
 }
 

@@ -222,7 +222,7 @@ fn flat_directions(points: &[Point]) -> PluginResult<Vec<Point>> {
     let eigen = covariance
         .self_adjoint_eigen(Side::Lower)
         .map_err(|_| PluginError::internal("the principal axes of the regions were not found"))?;
-    // In ascending order.
+    // Extents are in ascending order.
     let (extents, axes) = (eigen.S().column_vector(), eigen.U());
     let flat = (0..3).filter(|&i| extents[i] <= FLAT * FLAT * extents[2]);
     Ok(flat.map(|i| [axes[(0, i)], axes[(1, i)], axes[(2, i)]]).collect())

@@ -175,7 +175,7 @@ fn across(direction: Vec3, axis: Vec3) -> PluginResult<Vec3> {
         PluginError::parameter("direction", "is zero").hint("give a direction, such as [1, 0, 0]")
     })?;
     let across = add(direction, axis, -dot(direction, axis));
-    // Nearer than a thousandth of a degree, what is left is rounding.
+    // A direction nearer to the axis than a thousandth of a degree leaves rounding alone.
     let across = (dot(across, across) > 3e-10).then(|| unit(across)).flatten();
     across.ok_or_else(|| {
         PluginError::parameter("direction", "is parallel to `axis`")

@@ -362,7 +362,7 @@ fn samples_in_several_buffers() {
     assert!(same(&shot(&mut scene, &plain()), &whole));
 }
 
-/// After a part, all is drawn at once where no budget holds it back.
+/// All splats are drawn at once after a part, where no budget holds them back.
 #[test]
 fn without_a_budget_all_is_drawn() {
     let Some(gpu) = gpu() else { return };

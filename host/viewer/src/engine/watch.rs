@@ -31,7 +31,7 @@ pub struct Activity {
 pub(super) enum StageKind {
     /// Preparation of a step, which does not depend on motions.
     Preparation,
-    /// Anything else.
+    /// Any other stage.
     Other,
 }
 

@@ -45,7 +45,7 @@ fn what_cannot_be_opened_leaves_what_is_open() {
     assert!(state.apply(Command::Save { path: None }).unwrap_err().to_string().contains("no file yet"));
 }
 
-/// Until a failure was taken, nobody takes the model for opened.
+/// An opening that failed counts as going on until its failure was taken.
 #[test]
 fn a_failure_that_was_not_taken_yet_is_no_model() {
     let (tell, told) = std::sync::mpsc::channel();

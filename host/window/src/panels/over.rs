@@ -28,7 +28,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
-            // In a narrow picture, in several lines.
+            // The options take several lines in a narrow picture.
             ui.horizontal_wrapped(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window, commands),
                 Tool::Measure => measuring(ui, window, commands),

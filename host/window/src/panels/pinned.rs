@@ -10,7 +10,7 @@ const MARGIN: f32 = 12.0;
 /// Longest name, in characters.
 const LONGEST: usize = 36;
 
-/// At the lower right, while something is pinned.
+/// Shows the panel at the lower right, while a version is pinned.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let holds = window.state().pinned().is_some_and(|name| shown(ui, rect, window, commands, name));
     if holds != window.holds_pinned {

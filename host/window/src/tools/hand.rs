@@ -215,11 +215,11 @@ impl Tools {
 /// The kind of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measuring {
-    /// Between two points; a third one begins anew.
+    /// Distance between two points; a third one begins anew.
     Distance,
-    /// At the second of three points; a fourth one begins anew.
+    /// Angle at the second of three points; a fourth one begins anew.
     Angle,
-    /// Along all points.
+    /// Length along all points.
     Path,
 }
 

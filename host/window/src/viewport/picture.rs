@@ -43,7 +43,7 @@ struct Pictures {
 struct PictureDrawing {
     version: ComparedVersion,
     scene: Scene,
-    /// With how many pictures share a frame.
+    /// Budget of the version's frames, and the number of pictures that share a frame.
     budget: (u32, Budget),
     texture: Texture,
     colors: SampleColors,
@@ -214,7 +214,7 @@ impl PictureDrawing {
             return self.texture.show(rect);
         }
         self.seen = from;
-        // At rest all is drawn at once, unless that would take too long to wait for.
+        // All splats are drawn at once at rest, unless that would take too long to wait for.
         let parts = self.scene.splats() as f64 / self.budget.1.splats() as f64;
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
         let reach = self.scene.reach(&view, &style, Some(&self.budget.1).filter(|_| !whole));

@@ -14,9 +14,9 @@ const HOLD: Key = Key::X;
 /// Place of each version's picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VersionRects {
-    /// The one that is worked on.
+    /// Place of the version that is worked on.
     pub now: Option<Rect>,
-    /// The one that is pinned.
+    /// Place of the version that is pinned.
     pub pinned: Option<Rect>,
 }
 

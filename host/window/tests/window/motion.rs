@@ -266,8 +266,8 @@ fn an_axis_has_planes_that_can_be_dragged() {
     assert_eq!(harness.state().window().steps().len(), steps);
 }
 
-/// Of a surface of which only a part is drawn while it is dragged, the result is whole in its first picture:
-/// fewer samples in between would flicker.
+/// The result of a drag is whole in its first picture, also where only a part of the surface is drawn while
+/// it is dragged: fewer samples in between would flicker.
 #[test]
 fn a_result_takes_the_place_of_its_draft_at_once() {
     if !can_draw() {

@@ -35,7 +35,7 @@ pub fn drawn_window() -> Harness<'static, App> {
     drawn_window_of([1280.0, 800.0])
 }
 
-/// The same, of a size.
+/// Window of a size with nothing open, and something to draw with.
 pub fn drawn_window_of(size: [f32; 2]) -> Harness<'static, App> {
     let plugins = plugins();
     let builder = Harness::builder().with_size(size).wgpu();
