@@ -17,7 +17,7 @@ const DEAF: Duration = Duration::from_secs(2);
 /// Advice on how a plugin stops in time.
 const LISTEN: &str = "ask the host's `progress` every 100 ms, and return its error";
 
-/// The longest deformation that feels as if it went on all the time.
+/// Longest deformation that feels as if the motion was continuous.
 const INTERACTIVE: Duration = Duration::from_millis(100);
 
 /// Lines of a call that somebody may read.

@@ -99,7 +99,7 @@ impl Console {
         stages.done.clone()
     }
 
-    /// Prints an error: what is wrong, and what to do about it.
+    /// Prints an error with its advice.
     pub fn error(&self, error: &Error) {
         self.stages();
         let mut err = std::io::stderr().lock();

@@ -32,7 +32,7 @@ impl ComparedModels {
 
 /// All vertices of the models, the first one at rest.
 pub(crate) struct ComparedModels {
-    /// Each method's vertices beside those at rest.
+    /// Differences of each method's vertices from those at rest.
     pub displacements: Vec<Difference>,
     /// Boxes of all models.
     pub bounds: Vec<Bounds>,

@@ -163,7 +163,7 @@ impl ProgramFile {
     ];
 }
 
-// As the file has it.
+// Content of the file.
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

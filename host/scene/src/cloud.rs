@@ -36,7 +36,7 @@ pub struct SceneSurface<'a> {
 /// A surface that cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BadSurface {
-    /// A list is not as long as it has to be.
+    /// A list has another length than the positions.
     #[error("{what}: {found} for {expected} samples\nhint: give one for each sample")]
     Length {
         /// The list.
@@ -124,7 +124,7 @@ impl Cloud {
         cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
         cloud.write_shapes(&gpu.queue, surface.axes);
         cloud.write_look(&gpu.queue, surface.radii, surface.colors);
-        // Triangles reach all samples only where these are in one piece.
+        // Triangles reach all samples only where the samples are in one chunk.
         if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
             cloud.triangles =
                 DrawnTriangles::new(gpu, &cloud.order.samples, surface.triangles, limits.max_buffer_size);

@@ -29,7 +29,7 @@ pub(crate) struct FrameData {
 const KEY_LIGHT: Vec3 = Vec3::new(-0.50, 0.66, 0.56);
 const FILL_LIGHT: Vec3 = Vec3::new(0.80, 0.10, 0.59);
 const HEAD_LIGHT: Vec3 = Vec3::new(0.0, 0.12, 1.0);
-/// Linear colour of the surface where its own are not shown.
+/// Linear colour of the surface where its own colours are not shown.
 const CLAY: Vec3 = Vec3::new(0.56, 0.51, 0.46);
 /// Linear colour of the ghost.
 const GHOST: Vec3 = Vec3::new(0.22, 0.42, 0.72);

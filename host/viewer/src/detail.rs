@@ -26,7 +26,7 @@ pub enum Previewed {
     Nothing,
 }
 
-/// Vertices in pieces, as they came.
+/// Vertices in pieces, in which they came.
 ///
 /// Memory: 32 bytes for each vertex, 56 for each splat. There are at most twice as many vertices as were
 /// [chosen](DetailRequest), as a piece is made anew when others have taken the place of more than half of

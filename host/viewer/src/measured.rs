@@ -25,7 +25,7 @@ pub struct MeasuredPoint {
 pub struct Measure {
     /// The number after the steps.
     pub now: f64,
-    /// The number before them.
+    /// Number before the steps.
     pub rest: f64,
 }
 

@@ -7,7 +7,7 @@ use crate::scene::ViewerScene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Pixels of the buffer along its longer side, at most.
+/// Greatest number of pixels of the buffer along its longer side.
 const LONGEST: f64 = 1024.0;
 
 /// Number of neighbours that decide on the radius of a sample's disc.
@@ -16,7 +16,7 @@ const RING: usize = 6;
 /// A disc's radius, in mean distances to the neighbours: enough that no gap is left between discs.
 const REACH: f32 = 1.0;
 
-/// Pixels that a disc covers at least, from its middle.
+/// Least number of pixels, from its middle, that a disc covers.
 const LEAST_REACH: f64 = 0.75;
 
 /// Depth behind the nearest surface to which a sample still counts as seen, in radii of its disc: for

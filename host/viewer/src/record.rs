@@ -30,8 +30,7 @@ impl Recorder {
 
 /// The commands of a recording.
 ///
-/// # Errors
-/// A line is no command; it is named.
+/// A line is no command; the error names the line.
 pub fn parse(text: &str) -> Result<Vec<Command>> {
     let command = |(i, line): (usize, &str)| {
         serde_json::from_str(line).map_err(|e| {

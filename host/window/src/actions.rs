@@ -32,9 +32,9 @@ pub enum Menu {
 pub struct NamedAction {
     /// The name that the user reads.
     pub name: &'static str,
-    /// The menu that it is found in.
+    /// Menu in which the action is found.
     pub menu: Menu,
-    /// Keys that do it; the first ones are shown.
+    /// Keys that do the action; the first ones are shown.
     pub keys: &'static [(Modifiers, Key)],
     /// Whether the action can be done now.
     pub can: fn(&Window) -> bool,
@@ -431,7 +431,8 @@ const fn tool(
     action(Menu::Tool, tool.name(), keys, can, run).on(is_on)
 }
 
-/// Takes a tool that moves what is in the hand, and begins with it where the navigation says so.
+/// Takes a tool that moves the handles in the hand, and begins the motion where the navigation preset says
+/// so.
 fn begin(w: &Window, commands: &mut Commands, tool: Tool) {
     pick(commands, tool);
     let at_once = w.settings.navigation().begins_at_once;
@@ -443,7 +444,7 @@ fn pick(commands: &mut Commands, tool: Tool) {
     commands.then(move |w| w.tools.take(tool));
 }
 
-/// Does what the keys say that were just pressed.
+/// Does the actions of the keys that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
     if ctx.egui_wants_keyboard_input() || window.is_asking() || window.tools.gesture.transforming.is_some() {

@@ -11,7 +11,7 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The program: its window, and what runs beside that.
+/// The program: its window, and the viewport that draws the model.
 pub struct App {
     window: Window,
     viewport: Viewport,

@@ -14,8 +14,8 @@ const MARGIN: f64 = 22.0;
 
 /// The axis along which a step works, with the planes between which it does, in local coordinates.
 ///
-/// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`,
-/// numbers in the model's diagonal, signed, along the axis from that point.
+/// A plugin works along an axis if it has these parameters: `center`, a point; `axis`, a direction; and
+/// `from` and `to`, numbers in the model's diagonal, signed, along the axis from that point.
 pub struct Axis {
     /// The step's place.
     pub step: usize,

@@ -38,7 +38,7 @@ pub enum Purpose {
         step: usize,
         /// The parameter's id.
         id: String,
-        /// The extensions that its name may have; any if there is none.
+        /// Extensions that the file's name may have; any if there is none.
         extensions: Vec<String>,
     },
 }

@@ -1,4 +1,4 @@
-//! Models for those who have none at hand.
+//! Generated models for users who have none at hand.
 
 use simod_generate::{ModelOptions, Shape};
 use simod_model::progress::Silent;

@@ -31,7 +31,7 @@ impl Default for ScreenshotFormat {
     }
 }
 
-/// Draws what the state shows, as its camera sees it.
+/// Draws the state's scene, as its camera sees it.
 ///
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
@@ -70,7 +70,7 @@ pub struct Studio<'a> {
 }
 
 impl Shot {
-    /// The shot of what the state shows.
+    /// Shot of the state's scene.
     ///
     /// # Errors
     /// Nothing is open.

@@ -6,9 +6,9 @@ use eframe::egui::{
 };
 use simod_session::step::Role;
 
-/// The colour of what is selected.
+/// Colour of selected things.
 pub const SELECTED: [u8; 3] = [255, 138, 30];
-/// The surface where it shows nothing else; as the renderer's clay.
+/// Colour of the surface where no other is shown; as the renderer's clay.
 pub const CLAY: [u8; 3] = [197, 189, 180];
 
 /// Tint of samples, and its share, where other parts are shown in full.
@@ -19,7 +19,7 @@ pub const SAMPLES_SHARE: f32 = 0.3;
 pub const SAMPLE_DOTS: [u8; 4] = [255, 214, 90, 255];
 pub const SAMPLE_DOT_SIZE: f32 = 3.0;
 
-/// The surface where samples stand for it and other parts are shown in full.
+/// Colour of the surface where samples stand for it and other parts are shown in full.
 pub fn samples_clay() -> [u8; 3] {
     mixed(CLAY, SAMPLES, SAMPLES_SHARE)
 }

@@ -7,7 +7,7 @@ use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::Plugin;
 use toml::{Table, Value};
 
-/// Tables of a step in a session file, and what the window has for them.
+/// Names of a step's tables in a session file, and the window's words for them.
 const TABLES: [(&str, &str); 4] =
     [("joint", "joints"), ("handle", "handles"), ("region", "regions"), ("stroke", "strokes")];
 

@@ -1,4 +1,4 @@
-//! The whole plugin, as the host calls it.
+//! Tests of the whole plugin, as the host calls it.
 
 use super::*;
 use proptest::prelude::*;

@@ -41,7 +41,7 @@ const WHOLE: f64 = (1_u64 << 36) as f64;
 pub struct SurfaceWays {
     length: Vec<f32>,
     found: Vec<(u32, f64)>,
-    /// Samples whose neighbours may be nearer by way of them.
+    /// Samples by way of which their neighbours may be nearer.
     open: VecDeque<u32>,
     is_open: Vec<bool>,
 }

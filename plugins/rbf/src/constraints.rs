@@ -34,7 +34,7 @@ pub const PER_HANDLE: usize = 4;
 /// Place of a handle, in local coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandleFrame {
-    /// Mean of its samples.
+    /// Mean of the handle's samples.
     pub centroid: Point,
     /// Largest distance of one of its samples from the centroid; 1 for a single point.
     pub radius: f64,
@@ -51,7 +51,7 @@ pub struct RegionSamples {
     pub samples: Vec<u32>,
     /// Handle that each constraint follows, or nothing where the constraint is fixed.
     pub handle: Vec<Option<usize>>,
-    /// Functions 1, 2 and 3 of its handle at each constraint.
+    /// Functions 1, 2 and 3 of the constraint's handle, at each constraint.
     relative: Vec<Point>,
     /// The handles' frames, in the regions' order.
     pub handles: Vec<HandleFrame>,

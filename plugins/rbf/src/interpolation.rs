@@ -1,4 +1,4 @@
-//! Interpolation by very many centres: what the values are at each of them.
+//! Interpolation of given values at very many centres.
 //!
 //! The equations are solved by GMRES (Y. Saad, M. Schultz, SIAM Journal on Scientific and Statistical
 //! Computing 1986), for all right-hand sides side by side, with `domains` as an approximate inverse: some ten

@@ -425,7 +425,7 @@ proptest! {
         }
     }
 
-    /// A graph whose nodes a rigid motion takes is that motion everywhere, and without strain.
+    /// A graph whose nodes a rigid motion moves is that motion everywhere, and without strain.
     #[test]
     fn a_graph_turns_with_its_nodes(
         axis in proptest::array::uniform3(-2.0..2.0_f64), at in proptest::array::uniform3(-9.0..9.0_f64), count in 8_usize..60,

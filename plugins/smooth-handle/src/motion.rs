@@ -68,7 +68,7 @@ impl HandleMotion {
         if !(scale > 0.0 && scale.is_finite()) {
             return None;
         }
-        // Polar decomposition, of A / scale: its square root is that of the symmetric AᵀA.
+        // The polar decomposition is of A / scale: its stretch is the square root of the symmetric AᵀA.
         let shape = matrix * scale.recip();
         let (squares, axes) = symmetric_eigen(shape.transpose() * shape);
         if squares.min_element() <= f64::EPSILON * squares.max_element() {

@@ -259,7 +259,7 @@ fn write_project(folder: &Path, names: &PluginNames, language: Language) -> Resu
         write(path, &names.fill_in(text))?;
     }
     if is_there {
-        // Refused where something came into it meanwhile.
+        // The removal fails if something came into the folder meanwhile.
         fs::remove_dir(folder).map_err(|e| failed(&e))?;
     }
     new.commit()

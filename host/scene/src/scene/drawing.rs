@@ -220,7 +220,7 @@ impl Scene {
         DetailShares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
     }
 
-    /// The surface's splats and the details' that these shares allow.
+    /// Splats of the surface and of the details in these shares.
     fn parts(&self, shares: DetailShares) -> Vec<CloudRange<'_>> {
         let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
         let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));
@@ -228,7 +228,7 @@ impl Scene {
         surface.chain(details).map(part).collect()
     }
 
-    /// The splats of these shares side by side, and of these some places.
+    /// Some places among the splats of these shares, laid side by side.
     fn slice(&self, shares: DetailShares, places: Range<usize>) -> Vec<CloudRange<'_>> {
         let mut first = 0;
         let mut parts = self.parts(shares);

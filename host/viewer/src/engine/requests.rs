@@ -164,7 +164,7 @@ pub enum Event {
         output: PathBuf,
         /// The report on the model.
         report: Box<Reconstructed>,
-        /// The time that it took.
+        /// Seconds that the writing took.
         seconds: f64,
     },
     /// Some vertices of the model are there to be seen.
@@ -180,7 +180,7 @@ pub enum Event {
         request: u64,
         /// Number of vertices, and of bytes that were read.
         report: Streamed,
-        /// The time that it took.
+        /// Seconds that the stream took.
         seconds: f64,
     },
     /// Something that the user should know.

@@ -297,7 +297,7 @@ fn opened_as(
     Ok((editor.opened_by(path), evaluation))
 }
 
-/// A session that samples a model as it was sampled.
+/// Session with the sampling by which a model was sampled.
 fn session_of(sampled: &SampledModel) -> SessionFile {
     use simod_core::sampling::{By, Placement, Target};
     let (samples, error) = match sampled.sampling.target {

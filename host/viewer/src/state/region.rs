@@ -1,4 +1,4 @@
-//! Regions of what is selected, and the handles that move.
+//! Regions made of the selection, and the handles that move.
 
 use super::State;
 use super::edit::missing;
@@ -48,7 +48,7 @@ impl State {
         Ok(&region.shapes)
     }
 
-    /// Some samples, as a step finds them, as geometry.
+    /// Geometry of some samples, as a step finds them.
     fn picked(&self, positions: &[Vec3], selection: &Selection) -> Result<PickedPoints> {
         let open = self.open()?;
         let (scene, frame) = (&open.scene, open.scene.frame());

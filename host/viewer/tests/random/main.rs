@@ -156,7 +156,7 @@ fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
-/// Texts that somebody might paste: a step, two of them, and what is none.
+/// Texts that somebody might paste: a step, two steps, and a text that is no step.
 fn text() -> impl Strategy<Value = String> {
     prop::sample::select(vec![
         "version = 1\n[[step]]\ndeform = \"warp\"\n[step.params]\nangle = 20.0\n",

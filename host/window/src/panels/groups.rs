@@ -104,7 +104,7 @@ fn more(
 ) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let at = group.start;
-        // The group, or the step, before it and behind it.
+        // Places of the group, or the step, before this group and behind it.
         let above = at.checked_sub(1).map(|above| group_at(entries, above).map_or(above, |g| g.start));
         let below = (group.end < entries.len())
             .then(|| at + group_at(entries, group.end).map_or(1, |below| below.len()));

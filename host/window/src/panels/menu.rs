@@ -43,7 +43,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     });
 }
 
-/// The name of what is open, in the middle.
+/// Name of the open session or model, in the middle.
 fn title(ui: &mut Ui, window: &Window) {
     let Some(editor) = window.state().editor() else { return };
     let path = editor.path().or(editor.model()).or(window.opened());

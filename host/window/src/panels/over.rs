@@ -12,7 +12,7 @@ use simod_viewer::selection::Combine;
 
 const MARGIN: f32 = 12.0;
 
-/// Shows what is over the picture.
+/// Shows the panels over the picture.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     if window.tools.has_options() {
         options(ui, rect, window, commands);

@@ -226,7 +226,7 @@ fn more(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry:
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
 }
 
-/// Buttons for what the step's plugin says to do about its parameters.
+/// Buttons for the remedies that the step's plugin advises.
 fn mend(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry) {
     let Some(deformation) = entry.step.deformation() else { return };
     let Ok(plugin) = window.state().plugins().get(&deformation.deform) else { return };
@@ -258,7 +258,7 @@ fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
             ui.label(RichText::new(what).small().color(ui.visuals().warn_fg_color));
         }
         Status::Failed(error) => {
-            // Steps of a file begin with their place in it.
+            // Errors of a file's steps begin with the step's place in the file.
             let text = error.to_string();
             let text = in_window(text.strip_prefix(": ").unwrap_or(&text), plugin);
             ui.label(RichText::new(text).small().color(ui.visuals().error_fg_color));

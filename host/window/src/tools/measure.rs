@@ -135,7 +135,7 @@ fn add(context: &mut ToolContext<'_>) {
     context.commands.apply(Command::Measure { points });
 }
 
-/// Draws what is measured, whatever the tool.
+/// Draws the measured points and lines, whatever the tool.
 pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return };
     let measured = window.state().measured();

@@ -57,7 +57,7 @@ fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
         }
     }
     let placed = state.handles(step);
-    // Bones that an end bends are where the body is; what it reaches for is where the hand put it.
+    // Bones that an end bends are drawn in the body; the end's handle is drawn where the hand put it.
     let posed = state.posed(step).filter(|posed| posed.len() == placed.len());
     let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
     let place_of = |i: usize| match (posed, placed.get(i)?) {
@@ -65,7 +65,7 @@ fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
         (_, (_, place)) => project(place.position()),
     };
     for (i, (desc, place)) in placed.iter().enumerate() {
-        // An end is where the hand wants it, whether its bones get there or not.
+        // An end is drawn where the hand wants it, whether its bones get there or not.
         let is_end = posed.is_none() || placed.iter().all(|(other, _)| other.parent as usize != i);
         let shown = if is_end { project(place.position()) } else { place_of(i) };
         let Some((at, depth)) = shown else { continue };
@@ -160,7 +160,7 @@ fn grid(canvas: &ModelArea<'_>, dots: &[HandleDot]) {
             let mut next = *place;
             next[axis] += 1;
             let Some(to) = places.get(&next) else { continue };
-            // The edges of the box that they make are what is seen of it first.
+            // The edges of the box around all points are the easiest to see.
             let is_edge = (0..3).all(|a| a == axis || place[a] == 0 || place[a] == last[a]);
             let (width, share) = if is_edge { (1.8, 0.8) } else { (1.0, 0.3) };
             canvas.painter().line_segment([*at, *to], Stroke::new(width, DOT.gamma_multiply(share)));

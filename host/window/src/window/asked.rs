@@ -19,7 +19,7 @@ pub enum Question {
         path: PathBuf,
         /// The place where the model was.
         model: PathBuf,
-        /// The model is open nevertheless, by its samples.
+        /// Whether the model is open nevertheless, by its samples.
         is_open: bool,
     },
 }
@@ -27,9 +27,9 @@ pub enum Question {
 /// An edit that was kept against a crash.
 #[derive(Clone)]
 pub struct KeptEdit {
-    /// The path of what was edited.
+    /// Path of the session or model that was edited.
     pub path: PathBuf,
-    /// The way in which it is sampled.
+    /// Sampling of the model.
     pub sampling: SamplingTable,
     /// Time when the edit was kept, and its number of steps.
     pub made: SystemTime,
@@ -73,7 +73,7 @@ pub struct WriteReport {
     pub output: PathBuf,
     /// Figures of the reconstruction.
     pub report: Reconstructed,
-    /// The time that it took.
+    /// Seconds that the writing took.
     pub seconds: f64,
 }
 

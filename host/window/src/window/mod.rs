@@ -400,7 +400,7 @@ impl Window {
         self.ask_to_open_sampled(path, sampling);
     }
 
-    /// Opens something, sampled so if it is a model, after questions that have to be asked before.
+    /// Opens something, with this sampling if it is a model, after questions that have to be asked before.
     pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: SamplingTable) {
         self.after = None;
         if self.is_unsaved() {

@@ -16,7 +16,7 @@ pub struct Prompt {
     pub why: String,
     /// Defect of the typed path, in words.
     pub wrong: Option<String>,
-    /// The folder that was looked into last, with what is in it.
+    /// Folder that was looked into last, with its content.
     listed: Option<(PathBuf, Vec<String>)>,
     /// The part of the text that is selected next, if any is.
     pub select: Option<[usize; 2]>,
@@ -76,7 +76,7 @@ impl Prompt {
     }
 }
 
-/// The text up to the last separator, and what is behind it.
+/// Text up to the last separator, and the rest.
 fn parts(text: &str) -> (&str, &str) {
     text.split_at(text.rfind(['/', MAIN_SEPARATOR]).map_or(0, |at| at + 1))
 }

@@ -219,8 +219,8 @@ fn a_click_that_is_quicker_than_a_picture_selects() {
     assert_eq!(state.selection().count(), state.scene().unwrap().len());
 }
 
-/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says
-/// so.
+/// A handle with its surroundings fixed is made at once, and undone at once; a band that is too wide is
+/// told of.
 #[test]
 fn a_handle_is_made_with_what_is_around_it_fixed() {
     let folder = tempfile::tempdir().unwrap();

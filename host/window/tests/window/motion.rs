@@ -189,8 +189,8 @@ fn set(harness: &mut Harness<'_, App>, id: &str, value: impl Into<toml::Value>) 
     settle(harness);
 }
 
-/// Places in the middle of the picture that are much darker than what is around them: the background, seen
-/// through the surface.
+/// Places in the middle of the picture that are much darker than the places around them: the background,
+/// seen through the surface.
 fn holes(image: &Image, [x, y]: [std::ops::Range<u32>; 2]) -> usize {
     let light = |x, y| image.pixel(x, y).unwrap().iter().map(|c| u32::from(*c)).sum::<u32>();
     let places = x.flat_map(|x| y.clone().map(move |y| (x, y)));
@@ -353,7 +353,7 @@ fn knobs_are_in_the_picture() {
     assert!(camera(&harness).distance < with_knobs, "the model alone");
 }
 
-/// Pictures for the eye: what is around the model, and over it.
+/// Pictures for the eye: the panels around the model, and over it.
 #[test]
 fn nothing_lies_over_the_model_that_need_not() {
     if !can_draw() {

@@ -25,7 +25,7 @@ fn click(harness: &mut Harness<'_, App>, label: &str) {
     settle(harness);
 }
 
-/// Clicks what has a name with this in it: an entry of a menu, which has its id, too.
+/// Clicks the control whose label contains this text: an entry of a menu, whose label has its id, too.
 fn click_on(harness: &mut Harness<'_, App>, label: &str) {
     harness.get_by_label_contains(label).click();
     settle(harness);
