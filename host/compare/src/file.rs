@@ -163,7 +163,7 @@ impl ProgramFile {
     ];
 }
 
-// Content of the file.
+// Tables of the file, as they are read.
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
