@@ -196,8 +196,7 @@ impl Compared {
     }
 }
 
-/// Vertices whose error is more than is allowed: their places (local coordinates) and the excess (local
-/// units).
+/// Vertices whose error is more than is allowed: their places (local coordinates) and errors (local units).
 pub type Excesses = Vec<(Vec3, f32)>;
 
 /// Largest number of vertices that [`measure_some`] returns.

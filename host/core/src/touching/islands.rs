@@ -26,7 +26,8 @@ const MOST_PER_SAMPLE: usize = 16;
 /// Links that are not tidied up yet.
 const LINKS_AT_EASE: usize = 1 << 18;
 
-/// Number of vertices, or links, that are looked at before the pages of their files are given back.
+/// Number of vertices, or links, that are looked at between two calls of [`looked_at`] for their mapped
+/// files.
 const FEW: usize = 1 << 14;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
