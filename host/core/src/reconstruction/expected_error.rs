@@ -171,7 +171,7 @@ impl DeformationField<'_> {
     }
 
     /// Expected errors around all samples. Two samples whose clusters are single places, as `is_single` says,
-    /// do not count against each other; an empty `is_single` stands for none.
+    /// do not count in each other's largest disagreement; an empty `is_single` stands for none.
     pub(super) fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.

@@ -431,7 +431,7 @@ impl<'a> DisjointSets<'a> {
         true
     }
 
-    /// Whether all three corners are known to have the same vertex as the first of their island.
+    /// Whether all three corners are known to be of one island: each is linked to the same vertex of it.
     #[inline]
     fn are_plainly_one(self, corners: [u32; 3]) -> bool {
         let [u, v, w] = corners.map(|corner| corner - self.back(corner));
