@@ -277,7 +277,8 @@ impl DeformationField<'_> {
         ])
     }
 
-    /// Statements of the samples whose supports reach a vertex at `p`, of this home, that goes by `u`.
+    /// Sums over the samples whose supports reach a vertex at `p`, of this home, that goes by `u`; over those
+    /// near to it where none does.
     fn heard(&self, home: usize, p: Vec3, u: Vec3) -> Heard {
         let mut heard = Heard::default();
         for i in self.around.reaching(home) {
@@ -294,8 +295,8 @@ impl DeformationField<'_> {
         heard
     }
 
-    /// Statements of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours, whose
-    /// supports need not reach the vertex.
+    /// What the expansions of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours say
+    /// of it; their supports need not reach the vertex.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
         let (mut furthest, mut differs) = (0.0f32, 0.0f32);
         let [mut wider, mut widest] = [WIDER, WIDEST].map(WideBlend::new);

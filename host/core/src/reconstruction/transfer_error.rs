@@ -153,7 +153,7 @@ impl Compared {
         Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
     }
 
-    /// Adds vertices in the file's order, runs of which follow each other there.
+    /// Adds vertices in the file's order, of which `row` at a time follow each other there.
     fn add(
         &mut self,
         rest: &[DVec3],
