@@ -12,6 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
+use simod_model::long_list::LongList;
 use simod_model::object::{self, is_object};
 use simod_model::output::{self, OutputFile};
 use simod_model::output_folder::OutputFolder;
@@ -794,9 +795,9 @@ impl SampledModel {
 
     /// Content of a file in the folder that the model was read from, of at most `most` bytes; `None` where
     /// there is no such file, or it cannot be read.
-    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
+    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<LongList<u8>> {
         let (folder, _) = self.folder.as_ref()?;
-        input::read(&folder.join(name), most).ok()
+        input::read_long(&folder.join(name), most, self.samples.storage()).ok()
     }
 
     /// Puts a file into the folder that the model was read from, if there is one, unless another process is

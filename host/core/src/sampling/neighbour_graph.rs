@@ -32,7 +32,7 @@ impl NeighbourGraph {
     pub(crate) fn is_valid(&self, samples: usize) -> bool {
         self.k < samples
             && self.flat.len() == self.k * samples
-            && self.flat.iter().all(|j| (*j as usize) < samples)
+            && self.flat.pass().all(|j| (*j as usize) < samples)
     }
 
     /// The neighbours of sample `i`, nearest first.
