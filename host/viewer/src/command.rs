@@ -269,7 +269,7 @@ pub enum CameraMove {
     },
     /// Moves the camera along the picture.
     Pan {
-        /// Way of the pointer, in pixels.
+        /// Shift of the pointer, in pixels.
         by: [f64; 2],
     },
     /// Brings the camera nearer to the point under the pointer, or farther from it.
