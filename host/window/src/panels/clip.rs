@@ -43,7 +43,7 @@ fn content(ui: &mut Ui, window: &Window, commands: &mut Commands, clip: Clip) {
         let mut place = (normal.dot(clip.through) - from) / (to - from).max(f64::MIN_POSITIVE);
         ui.spacing_mut().slider_width = 150.0;
         let slider = Slider::new(&mut place, 0.0..=1.0).show_value(false);
-        let response = ui.add(slider).on_hover_text("Where the plane is between the ends of the model");
+        let response = ui.add(slider).on_hover_text("Place of the plane between the ends of the model");
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Place of the cut"));
         if response.changed() {
             let way = from + place * (to - from) - normal.dot(clip.through);

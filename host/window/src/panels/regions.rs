@@ -130,7 +130,7 @@ fn falloff(
         regions[i].shapes.falloff = falloff;
         commands.change(step, Change::SetRegions(regions), false);
     }
-    response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
+    response.on_hover_text("Distance beyond its border over which the region fades out, in the model's unit");
 }
 
 /// Entries of a menu for the roles that a region can have; the one that was chosen.
@@ -229,7 +229,7 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         ui.spacing_mut().slider_width = 60.0;
         let mut band = window.tools.band;
         let slider = Slider::new(&mut band, 0.01..=0.5).logarithmic(true).max_decimals(2);
-        let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
+        let hint = "Width of the band, as a part of the model\u{2019}s diagonal";
         let response = ui.add(slider).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
         if response.changed() {
