@@ -46,7 +46,7 @@ fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();
     let text = if count == 1 { "1 handle".to_owned() } else { format!("{count} handles") };
-    ui.label(text).on_hover_text("Shift and a click takes another one besides; so does a box (B)");
+    ui.label(text).on_hover_text("Shift and a click take one more; so does a box (B)");
     ui.separator();
     ui.spacing_mut().slider_width = 110.0;
     ui.label("Falloff");
@@ -121,10 +121,10 @@ fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     };
     if !window.state().measured().is_empty() {
         ui.separator();
-        if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
+        if ui.button("Remove Last").on_hover_text("Removes the last point (Backspace)").clicked() {
             measure::remove_last(window, commands);
         }
-        if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
+        if ui.button("Clear").on_hover_text("Removes all points (Escape)").clicked() {
             measure::clear(window, commands);
         }
     }

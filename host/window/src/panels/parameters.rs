@@ -23,7 +23,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     parts::heading(ui, plugin.name(), |ui| {
         let can_reset = !deformation.params.is_empty();
         let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
-        if reset.on_hover_text("All parameters get their defaults").clicked() {
+        if reset.on_hover_text("Resets all parameters to their defaults").clicked() {
             for id in deformation.params.keys() {
                 commands.change(step, Change::SetParam { id: id.clone(), value: None }, false);
             }

@@ -214,7 +214,8 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
                 make::make(window, commands, role);
             }
         }
-        if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
+        if ui.button("Refine").on_hover_text("Adds samples in the selection, as a step of its own").clicked()
+        {
             make::refine(commands);
         }
     });
@@ -222,7 +223,8 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         return;
     }
     ui.horizontal(|ui| {
-        let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
+        let hint =
+            "Makes a handle of the selection, and fixes what is farther from it than the band that bends";
         if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
             make::make_handle(window, commands);
         }
