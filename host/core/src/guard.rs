@@ -87,8 +87,8 @@ impl Guard {
         Self { force, ..Self::default() }
     }
 
-    /// Records that the command reads this file, or this folder with the files of a sampled model in it. A
-    /// path at which there is nothing is told when it is read.
+    /// Records that the command reads this file, or this folder with the files of a sampled model in it.
+    /// There need not be one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
         // A pattern that is wrong, or matches no file, is told when the model is read.
         if let Ok(Some(files)) = matching(path) {

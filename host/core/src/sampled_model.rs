@@ -799,9 +799,9 @@ impl SampledModel {
     }
 
     /// Puts a file into the folder that the model was read from, if there is one, unless another process is
-    /// writing the folder, or it has other samples by now: `write` makes the content, of about `bytes` bytes.
-    /// Files that can be made again from the rest go by here: a link is not followed, and nobody waits for
-    /// the disk.
+    /// writing the folder, or it has other samples by now: `write` makes the content, of about
+    /// `expected_bytes` bytes. Files that can be made again from the rest go by here: a link is not followed,
+    /// and nobody waits for the disk.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -136,7 +136,7 @@ fn displacements(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<DVec3>> {
     Ok(cage.vertices.iter().zip(motions).map(displacement).collect())
 }
 
-/// Refuses tables beyond the bound, of `numbers` numbers for each sample and vertex.
+/// Refuses tables beyond the bound, of `numbers` numbers for each sample.
 fn check_size(samples: usize, vertices: usize, numbers: usize) -> PluginResult<()> {
     let most = LARGEST_TABLE / size_of::<f32>() / numbers;
     if samples.div_ceil(TILE).saturating_mul(TILE) <= most {

@@ -252,7 +252,7 @@ impl Octahedron {
         Some(CentredPoint { triangle: self.by_place[self.place(octant, i, j, upright)], share, size })
     }
 
-    /// Greatest sum over the samples of each vertex' triangles; 0 where there is none.
+    /// Greatest sum `Σ s β_k x_k` of any sample in each vertex' triangles; 0 where there is none.
     fn limits(&self, x: &[f64], samples: impl Iterator<Item = CentredPoint>) -> Vec<f64> {
         let mut of_triangles = vec![0.0_f64; self.mesh.triangles.len()];
         for CentredPoint { triangle, share, size } in samples {

@@ -10,7 +10,7 @@ const FLAT: f64 = 1e-9;
 const LEAST: f64 = 1e-9;
 /// Greatest number of steps of Newton's method for a rotation; five to eight are usual.
 const STEPS: usize = 40;
-/// Size of a step of that method that is the last one.
+/// Size of a step of that method below which it is the last one.
 const SETTLED: f64 = 1e-7;
 
 /// The vertices of a moved cage, with maps of its faces.

@@ -320,8 +320,8 @@ mod tests {
         found
     }
 
-    /// Error in giving affine maps back: that of the sum of both kinds of coordinates for the identity, and
-    /// each by itself.
+    /// Error in giving back the identity: of the sum of the vertices' matrices, which has to be the identity,
+    /// or of that of the shares, which has to be 1.
     fn miss(found: &Coordinates) -> f64 {
         let sum = found.vertices.iter().fold(-DMat3::IDENTITY, |sum, w| sum + *w);
         let shares: f64 = found.shares.iter().sum();

@@ -341,9 +341,9 @@ fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> CellGradients
     CellGradients { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
-/// Volume that each point of a cell stands for, so that linear functions are summed up over the filled part
-/// as it is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low` along
-/// each axis.
+/// Part of a cell that each of its points stands for, so that linear functions are summed up over the filled
+/// part as it is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low`
+/// along each axis.
 fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     // Corners are numbered by one bit for each axis.
     for bit in [1, 2, 4] {

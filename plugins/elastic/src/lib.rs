@@ -46,7 +46,8 @@ const BLOCK: usize = 4096;
 const MOST_CELLS: usize = 50_000;
 /// Number of cells below which a lattice is not made coarser: it is the one on which handles go their ways.
 const COARSE: usize = 600;
-/// Ratio of a lattice's cells to those of the finest one above which coarser lattices are of no use.
+/// Number of fine cells along an edge of a cell from which on lattices are not made coarser: 64 times as many
+/// as on the finest lattice.
 const COARSEST: usize = 64 * PARTS;
 /// Number of loose parts that are led, each by the nearest sample; more are led as one.
 const MOST_LOOSE: usize = 1000;

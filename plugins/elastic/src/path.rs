@@ -23,8 +23,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// Path of a handle about a middle. A half turn goes the way on which the middle keeps farther `away`
-    /// from a point.
+    /// Path of a handle about a middle. A half turn goes the way on which the middle keeps farther from the
+    /// point `away`.
     pub fn new(whole: DAffine3, middle: DVec3, away: Option<DVec3>) -> Self {
         let shift = whole.transform_point3(middle) - middle;
         let mut this = Self { whole, parts: None, middle, pivot: middle, along: shift };

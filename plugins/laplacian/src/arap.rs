@@ -295,7 +295,7 @@ mod tests {
         OwnMotions::rigid(&[bend], true)
     }
 
-    /// Pose at rest, with rotations that are all the identity.
+    /// Pose from which a descent starts: the free nodes' rotations are the identity.
     fn start(level: &SurfaceLevel, turning: TurningNodes<'_>, motion: &OwnMotions) -> LevelPose {
         let held = level.problem.held.iter().map(|t| motion.turn(*t));
         let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);

@@ -43,7 +43,7 @@ struct GroupShare {
 impl Draft {
     /// Shares of the nodes of a problem.
     fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
-        // Residual of a node's equation, divided by the equation's diagonal.
+        // Factor of the residual of a node's equation in a step: `PART` over the equation's diagonal.
         let part = |i: usize| {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
             own.filter(|(_, diagonal)| *diagonal > 0.0).map_or(0.0, |(_, diagonal)| PART / diagonal)

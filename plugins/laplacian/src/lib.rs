@@ -323,7 +323,7 @@ impl Migrate for Laplacian {
     }
 }
 
-/// Constraint of each sample: held, or free, if it is connected to a sample that is held or drawn.
+/// Constraint of each sample: held; free, if it is connected to a sample that is held or drawn; or loose.
 fn kinds(constraints: &SampleConstraints, components: &[u32]) -> Vec<Constraint> {
     let mut is_tied = vec![false; components.len()];
     let held = constraints.hard.iter().enumerate().filter(|(_, t)| t.is_some()).map(|(i, _)| i);

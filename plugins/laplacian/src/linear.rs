@@ -61,7 +61,8 @@ impl BiLaplacian {
         Ok(Self { problem, springs, factor })
     }
 
-    /// Displacements whose Laplacians are nearest to given ones, with held nodes and draws at their `target`.
+    /// Displacements whose Laplacians are nearest to given ones; those of held nodes, and the goals of draws,
+    /// are as `target` says.
     pub fn respond(
         &self,
         laplacian: impl Fn(usize) -> DVec3 + Sync,

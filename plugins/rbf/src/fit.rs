@@ -6,8 +6,8 @@
 //! there are twice as many centres, all constraints are checked, and more of those that are not met take
 //! part.
 //!
-//! If [`CHOSEN`] centres do not meet the constraints and there may be more, the centres are interpolated,
-//! which costs the square of their number and not its cube (`interpolation`).
+//! If [`CHOSEN`] centres do not meet the constraints and there may be more, the targets are interpolated at
+//! the centres, which costs the square of their number and not its cube (`interpolation`).
 
 use crate::TOGETHER;
 use crate::constraints::{RegionSamples, spread_order};

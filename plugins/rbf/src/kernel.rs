@@ -70,8 +70,8 @@ pub struct UnitBoxMap {
 }
 
 impl UnitBoxMap {
-    /// Map of the points' box, of which a side is at least `least` long; nothing where no side has an
-    /// extent.
+    /// Map of the points' box, whose longest side is taken to be `least` at least; `None` where it is nothing
+    /// even so.
     pub fn from_points(points: &[Point], least: f64) -> Option<Self> {
         let mut min = [f64::INFINITY; 3];
         let mut max = [f64::NEG_INFINITY; 3];

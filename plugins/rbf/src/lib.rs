@@ -130,8 +130,8 @@ impl Evaluate for Rbf {
 
 /// Motions of the handles, in terms of the right-hand sides.
 struct HandleCombination {
-    /// Affine map that is applied everywhere: the handles' common part, or the identity where there are
-    /// fixed samples.
+    /// Affine map that is applied everywhere: the handles' common part, or the identity where there are fixed
+    /// samples or the kernel is compact.
     common: Affine,
     /// Coefficient of each solution that is added to the common part, in local coordinates.
     coefficients: Vec<Point>,

@@ -22,7 +22,7 @@ const SAME: f64 = 1e-7;
 const MOST_WEIGHTS: usize = 1 << 26;
 /// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
 const ROUND_OFF: f64 = 0.01;
-/// Largest difference from 1 of the sum of a row's weights that there is no warning of.
+/// Largest difference of the sum of a row's weights from 1 without a warning.
 const OFF: f64 = 0.01;
 /// Number of joints that a warning names.
 const IDS: usize = 5;

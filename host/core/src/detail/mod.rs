@@ -376,7 +376,7 @@ impl JoinedCells {
 /// Inputs from which vertices of the model become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
-    /// Extent of each sample's cluster.
+    /// Radius of the surface that each sample stands for.
     extents: &'a [f32],
     field: Option<&'a DeformationField<'a>>,
     stride: u64,

@@ -214,8 +214,8 @@ pub struct ToldAcross {
 
 impl ToldAcross {
     /// Expected error of the expansion's own gradient across the surface, where `guessed` is the one expected
-    /// without the anchors. The anchors count as far as their neighbours determine the gradient, and as far
-    /// as they agree better than to `guessed`.
+    /// without the anchors. The anchors count as far as their neighbours determine the gradient, and the
+    /// more, the less they differ from each other beside `guessed`.
     pub fn expected(self, guessed: f32) -> f32 {
         let [apart, spread, guessed] = [self.apart, self.spread, guessed].map(|x| x * x);
         let told = self.trust.powi(4) * guessed / (guessed + spread).max(f32::MIN_POSITIVE);

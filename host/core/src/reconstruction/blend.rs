@@ -393,8 +393,8 @@ fn within<S: Simd>(simd: S, e: &Expansion, p: [Lanes<S>; 3]) -> ([Lanes<S>; 3], 
     (d, length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), Lanes::splat(simd, 1.0)))
 }
 
-/// Finds the supports that reach any vertex of a packet, none of which is farther from its home than
-/// `furthest`: without a branch that the processor would have to foretell. Returns the number of supports.
+/// Finds the supports that reach any vertex of a packet: without a branch that the processor would have to
+/// foretell. No vertex is farther from its home than `furthest`. Returns the number of supports.
 #[inline(always)]
 fn reaching<S: Simd>(
     simd: S,

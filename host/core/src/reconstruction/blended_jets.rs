@@ -34,9 +34,9 @@ pub(super) const FIT_NEIGHBOURS: usize = MOST_NEIGHBOURS;
 /// Samples that are fitted by one job.
 pub(super) const TOGETHER: usize = 64;
 
-/// Ridge, as a part of the data's square, for each unit of a fit's residual, which counts as noise of its
-/// data: it shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
-/// would).
+/// Ridge for each unit of a fit's residual, both relative to the data's square: the residual counts as noise
+/// of the data, and the ridge shows what the fit explains by terms that the noise leaves undetermined (as
+/// Wiener's filter would).
 const NOISE: f64 = 0.3;
 
 /// Largest residual of a fit to a smooth map, as a part of the data's square.

@@ -25,8 +25,8 @@ const LARGE_BLOCK: usize = 1 << 16;
 /// prime, so that pairs are at all places of runs of any other length …
 const LOOKED_AT: usize = 17;
 
-/// … and the number of pairs of which one may be far apart; more are where vertices are in no order. Runs of
-/// some twenty vertices in random order are found, too.
+/// … and the number of pairs of which at most one is far apart where vertices are in order. Runs of some
+/// twenty vertices in random order are found, too.
 const JUMPS: usize = 24;
 
 /// Vertices that a packet is not worth for.

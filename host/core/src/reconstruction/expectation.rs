@@ -24,8 +24,8 @@ pub(super) struct Expectation {
 /// Rounding of positions in the file that is written.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Rounding {
-    /// Local origin of the shifted model relative to the model's origin, in local units: local positions plus
-    /// this are the file's numbers in size. `None` where positions are not of single precision.
+    /// Local origin, shifted, as a point of the model's coordinates in local units: local positions plus this
+    /// are the file's numbers in these units. `None` where positions are not of single precision.
     pub from: Option<Vec3>,
     /// Shift that is added to all displacements, in local units; zero where positions are not of single
     /// precision.

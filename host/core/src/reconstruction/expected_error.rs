@@ -171,7 +171,7 @@ impl DeformationField<'_> {
     }
 
     /// Expected errors around all samples. Two samples whose clusters are single places, as `is_single` says,
-    /// do not count against each other; an empty `is_single` stands for none.
+    /// do not count in each other's largest disagreement; an empty `is_single` stands for none.
     pub(super) fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
@@ -277,7 +277,8 @@ impl DeformationField<'_> {
         ])
     }
 
-    /// Statements of the samples whose supports reach a vertex at `p`, of this home, that goes by `u`.
+    /// Sums over the samples whose supports reach a vertex at `p`, of this home, that goes by `u`; over those
+    /// near to it where none does.
     fn heard(&self, home: usize, p: Vec3, u: Vec3) -> Heard {
         let mut heard = Heard::default();
         for i in self.around.reaching(home) {
@@ -294,8 +295,8 @@ impl DeformationField<'_> {
         heard
     }
 
-    /// Statements of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours, whose
-    /// supports need not reach the vertex.
+    /// What the expansions of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours say
+    /// of it; their supports need not reach the vertex.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
         let (mut furthest, mut differs) = (0.0f32, 0.0f32);
         let [mut wider, mut widest] = [WIDER, WIDEST].map(WideBlend::new);

@@ -327,7 +327,8 @@ impl<'a> Finger<'a> {
         (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2])
     }
 
-    /// Bound of the bits in which a place that is in the last place's cell differs from the last place.
+    /// Bound of the bits in which a place [differs](Self::differ) from the last one: a place that differs by
+    /// less is in the same cell.
     #[inline(always)]
     pub fn limit(&self) -> u32 {
         1 << (LEVELS - self.level)

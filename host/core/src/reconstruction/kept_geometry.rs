@@ -291,8 +291,8 @@ fn unpack_lists(samples: usize, numbers: &mut VarintNumbers<'_>) -> Option<Vec<L
     Some(lists)
 }
 
-/// Lists of the supports that reach each home, and the end of each list; the supports' sizes are not known
-/// yet.
+/// Lists of the supports that reach each home, and the end of each list; the distances from which on supports
+/// reach are not known yet.
 fn unpack_orders(
     sheets: &Sheets,
     samples: usize,

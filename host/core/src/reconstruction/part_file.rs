@@ -242,7 +242,7 @@ pub(super) fn open(path: &Path) -> Result<(File, PartRecord)> {
     Ok((file, record))
 }
 
-/// Copies `count` bytes, and checks that they have their checksum.
+/// Copies `left` bytes, and checks that they have their checksum.
 pub(super) fn copy(
     mut from: impl Read,
     (mut left, checksum): (u64, u128),

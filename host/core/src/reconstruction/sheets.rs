@@ -7,7 +7,7 @@
 //! counted [`STACKED`]-fold. Each sample is linked to the nearest few others in that measure, and its sheet
 //! are the samples among its neighbours in space that these links reach.
 //!
-//! Sheets that the model's faces have told ([`Contacts`](crate::touching::Contacts)) hold instead.
+//! The model's faces may have told the sheets ([`Contacts`](crate::touching::Contacts)): those hold instead.
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};

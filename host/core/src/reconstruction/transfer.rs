@@ -140,7 +140,8 @@ impl<'a> Surveys<'a> {
         Self { files, waiting: Mutex::default() }
     }
 
-    /// Empty lists for the diagnostics of `vertices` vertices, one for each version.
+    /// Lists for the diagnostics of `vertices` vertices, to be filled in, one for each version; empty for
+    /// versions whose diagnostics are not written.
     pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
         let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
         self.files.iter().map(|file| vec![VertexDiagnostics::UNKNOWN; count(file)]).collect()

@@ -153,7 +153,7 @@ impl Compared {
         Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
     }
 
-    /// Adds vertices in the file's order, runs of which follow each other there.
+    /// Adds vertices in the file's order, of which `row` at a time follow each other there.
     fn add(
         &mut self,
         rest: &[DVec3],
@@ -196,8 +196,7 @@ impl Compared {
     }
 }
 
-/// Vertices whose error is more than is allowed: their places (local coordinates) and the excess (local
-/// units).
+/// Vertices whose error is more than is allowed: their places (local coordinates) and errors (local units).
 pub type Excesses = Vec<(Vec3, f32)>;
 
 /// Largest number of vertices that [`measure_some`] returns.

@@ -1,18 +1,18 @@
 //! Error of expansions where their neighbours tell little of the gradient across the surface, or nothing: all
 //! samples guess it alike there, and so do not disagree.
 //!
-//! With x = (A + λ W)⁻¹ e, where e is the direction across and A of the fit's squares, an expansion whose
-//! gradient across has the error δ has the error δ x·t(d) / x·e at d from the sample, t(d) being the terms of
-//! the fit; at the neighbours themselves it has none. δ has two parts. The part of the gradient that the fit
-//! leaves to the prior, λ W x·e, has an error as large as the map's strain and bending. And terms that the
-//! fit leaves out are taken for a gradient as far as little relief makes the two look alike (the alias of G.
-//! E. P. Box, K. B. Wilson, *On the Experimental Attainment of Optimum Conditions*, 1951). For the third
-//! order that is Σ w x·t(d) c(d), where the difference of the second order at a neighbour tells the cubic
-//! terms, c(d) = (Qₖ − Q)(d, d) / 3. For all orders, and chance, a fit to fewer neighbours tells it, as that
-//! takes less of these terms for a gradient: two orders of one method tell its error, as in an embedded pair
-//! of Runge and Kutta. Either estimate is too large where the other fit hardly tells a gradient, or second
-//! orders are wrong; then samples agree better on the gradient than the estimates say. Where neighbours are
-//! wrong together, the disagreement is too little.
+//! With x = (A + λ W)⁻¹ e, where e is the slope across and A the matrix of the fit's squares, an expansion
+//! whose gradient across has the error δ has the error δ x·t(d) / x·e at d from the sample, t(d) being the
+//! terms of the fit; at the neighbours themselves it has none. δ has two parts. The part of the gradient that
+//! the fit leaves to the prior, λ W x·e, has an error as large as the map's strain and bending. And terms
+//! that the fit leaves out are taken for a gradient as far as little relief makes the two look alike (the
+//! alias of G. E. P. Box, K. B. Wilson, *On the Experimental Attainment of Optimum Conditions*, 1951). For
+//! the third order that is Σ w x·t(d) c(d), where the difference of the second order at a neighbour tells the
+//! cubic terms, c(d) = (Qₖ − Q)(d, d) / 3. For all orders, and chance, a fit to fewer neighbours tells it, as
+//! that takes less of these terms for a gradient: two orders of one method tell its error, as in an embedded
+//! pair of Runge and Kutta. Either estimate is too large where the other fit hardly tells a gradient, or
+//! second orders are wrong; then samples agree better on the gradient than the estimates say. Where
+//! neighbours are wrong together, the disagreement is too little.
 //!
 //! Over a dozen spacings the error shows: expansions of fourth order there tell δ itself, as far as they can
 //! be fitted and agree with each other ([`told_across`]). The rest is as above.

@@ -125,8 +125,8 @@ fn renew(
 }
 
 impl Appended {
-    /// Sample that goes on to stand for each part of its former cluster, if one does; these samples are
-    /// split.
+    /// Sample that goes on to stand for each part of its former cluster, if one does. The samples of all
+    /// these clusters are noted as split.
     fn heirs(
         &mut self,
         kept: &KeptCells,
@@ -226,7 +226,7 @@ impl Taking<'_, '_> {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }
 
-    /// Leaves that become of a grown leaf below a split sample, one for each sheet, that with most vertices
+    /// Leaves that come of a grown leaf below a split sample, one for each sheet, that with most vertices
     /// first; and the built leaves from which on the vertices of a sheet belong to a sample that was there.
     /// `place` is that of the leaf's sample in the tree.
     fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<NewLeaf>, Vec<(u32, u32)>) {

@@ -79,8 +79,8 @@ impl Gathering<'_> {
     /// once more while it is clustered, with the nodes of a tree down to it.
     pub const BYTES_PER_VERTEX: u64 = 240;
 
-    /// Reads some cells; returns them and the number of bytes that were read. `None` if the first of a cell's
-    /// vertices is not what it was: the model has changed.
+    /// Reads some cells; returns them and the number of bytes that were read. `None` if a cell has more or
+    /// fewer vertices than it had: the model has changed.
     ///
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<GatheredCell>, u64)>> {

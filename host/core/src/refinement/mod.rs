@@ -53,7 +53,7 @@ pub enum Finer {
     /// Largest error of a cluster there, as a fraction of the diagonal; 0 gives every vertex a sample of its
     /// own.
     Error(f64),
-    /// Factor by which there are to be more samples there, about.
+    /// Factor by which the number of samples there grows, about.
     Factor(f64),
     /// Number of new samples, about.
     Samples(u64),
@@ -76,7 +76,8 @@ impl Finer {
     /// Number of new samples that are allowed for each sample that there is, unless another number is given.
     const SHARE: f64 = 0.25;
 
-    /// Whether the numbers are in their range: positive and finite, counts below 2³² samples.
+    /// Whether the numbers are in their range: an error that is finite and not negative (positive for
+    /// `Auto`), a finite factor above 1, a count from 1 to 2³² − 1.
     pub fn makes_sense(&self) -> bool {
         let is_count = |n: u64| (1..=u64::from(u32::MAX)).contains(&n);
         match *self {
@@ -123,7 +124,8 @@ pub struct SamplesNeed {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
     /// diagonal.
     pub expected: f64,
-    /// Number of samples around which more than the allowed error was expected, and new ones would help.
+    /// Error that the new samples allow: the one asked for, or more, if there may not be enough of them; a
+    /// fraction of the diagonal.
     pub allowed: f64,
     /// Number of samples around which more than that was expected, and others would help.
     pub samples: u64,
@@ -153,7 +155,8 @@ const PRUNE_TO: f64 = 1.2;
 /// come with those of the trees.
 const NEAR_TARGET: usize = 64;
 
-/// Factor by which a bound below that which the number of samples foretells is low enough, mostly.
+/// Factor by which a bound has to be less than the one that the number of samples foretells, to be low
+/// enough, mostly.
 const FORESIGHT: f64 = 3.0;
 
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are

@@ -126,8 +126,8 @@ pub(super) struct LeafEstimate {
     pub inside: bool,
 }
 
-/// Rise of the bound at a distance from the selection, local units. A distance that is no number gives none
-/// either, and no cluster is refined for it.
+/// Rise of the bound at a distance from the selection, local units. A distance that is no number gives no
+/// number, and no cluster is refined for it.
 fn slack(distance: f64) -> f32 {
     (if distance <= 0.0 { 0.0 } else { REACH_WEIGHT * GRADING * distance }) as f32
 }

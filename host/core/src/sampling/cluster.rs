@@ -422,8 +422,8 @@ impl Moments {
     }
 
     /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
-    /// tell; infinite where all distances are zero, or the representative is not the mean, but placed by
-    /// normals.
+    /// tell; infinite where they do not, as of three vertices or fewer, or where the representative is not
+    /// the mean, but placed by normals.
     pub fn variance_of_mean(&self, covariance: &Covariance) -> f32 {
         // A plane goes through three vertices.
         let free = self.count - 3.0;

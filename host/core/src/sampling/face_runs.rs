@@ -142,7 +142,8 @@ impl FaceRuns {
         Err(Error::internal(format!("{} has faces without marks", model.path().display())))
     }
 
-    /// Begins runs behind the last mark whose first triangle is a multiple of the length of a run.
+    /// Begins the runs, each of [`FACES_OF_A_SUM`] triangles, whose first triangle is among the first
+    /// `triangles`: each from the last mark before it.
     fn begin(&mut self, triangles: u64, last: Option<(u64, u64)>) {
         let Some((before, mark)) = last else { return };
         loop {

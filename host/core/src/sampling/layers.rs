@@ -18,7 +18,7 @@ const LEAST: usize = 24;
 /// Elements that heights are taken of, at most.
 const MOST: usize = 512;
 
-/// Number of parts of the elements of which each of two layers has one, at least.
+/// Divisor of the number of elements: each of two layers has at least this part of them.
 const LEAST_PART: usize = 8;
 
 /// Least ratio of the distance of layers to that of points in them: closer ones are a rough surface.

@@ -25,7 +25,7 @@ const BUFFER: usize = 1 << 16;
 /// Positions written at a time.
 const POSITIONS: usize = 1 << 14;
 
-/// Number of files: items and later samples, and leaves.
+/// Number of files with a number for each vertex: of items and later samples, and of leaves.
 const FILES: u64 = 2;
 
 /// Samples before and behind the last one, among which the next is looked for first: a few cells have as

@@ -719,7 +719,7 @@ impl FaceResult {
     }
 
     /// Finds the triangles; the ranges of each cell's faces, if they are wanted; islands; and the positions
-    /// of samples by the faces, if these place them: if the local positions of the vertices are known.
+    /// of samples by the faces, if the local positions of the vertices are given, as these place them.
     fn read_faces(
         &mut self,
         read: &Read<'_>,
@@ -759,8 +759,8 @@ impl FaceResult {
         planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
     }
 
-    /// Places those samples by the faces whose clusters have changed, if there are any. Only faces of cells
-    /// in which clusters have changed are read, if their ranges are known.
+    /// Places those samples anew whose clusters have changed, if the faces have placed the samples. Only
+    /// faces of cells in which clusters have changed are read, if their ranges are known.
     fn place_again(
         &mut self,
         read: &Read<'_>,

@@ -165,7 +165,7 @@ fn logit(opacity: f64) -> f64 {
     if opacity < 1.0 { (opacity / (1.0 - opacity)).ln() } else { f64::INFINITY }
 }
 
-/// Least opacity of a model's splats, by the option; `None` where there are no splats.
+/// Least opacity of a model's splats, by the option; `None` where there are no splats, or none is left out.
 ///
 /// # Errors
 /// The opacity asked for is not from 0 to 1, or the model has no splats.

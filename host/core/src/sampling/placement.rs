@@ -263,7 +263,7 @@ struct CrossingFace {
     of: [u32; 3],
 }
 
-/// Sums of the planes of faces, or the faces for them.
+/// Sums of the planes of faces, either added up or listed.
 enum PlaneSumming {
     /// Planes are added up, in double precision.
     Added(Vec<[f64; 10]>),

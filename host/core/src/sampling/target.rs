@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
-    /// Number of samples, at most; there are less only where the model has no more to tell apart.
+    /// Number of samples, at most; there are fewer only where the model has no more to tell apart.
     Samples(u64),
     /// Largest error of a cluster (see [`super::cluster::Moments::representative`]), as a fraction of the
     /// diagonal. So every vertex has a sample within this / [`super::cluster::REACH_WEIGHT`].

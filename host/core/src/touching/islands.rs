@@ -26,7 +26,8 @@ const MOST_PER_SAMPLE: usize = 16;
 /// Links that are not tidied up yet.
 const LINKS_AT_EASE: usize = 1 << 18;
 
-/// Number of vertices, or links, that are looked at before the pages of their files are given back.
+/// Number of vertices, or links, that are looked at between two calls of [`looked_at`] for their mapped
+/// files.
 const FEW: usize = 1 << 14;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
@@ -430,7 +431,7 @@ impl<'a> DisjointSets<'a> {
         true
     }
 
-    /// Whether all three corners are known to have the same vertex as the first of their island.
+    /// Whether all three corners are known to be of one island: each is linked to the same vertex of it.
     #[inline]
     fn are_plainly_one(self, corners: [u32; 3]) -> bool {
         let [u, v, w] = corners.map(|corner| corner - self.back(corner));

@@ -288,7 +288,7 @@ impl ClusterParts {
 
     /// Number of clusters that there shall be instead of `clusters`, where so many hold several sheets that
     /// not each of these could get one of `wanted` samples: so many fewer that they can. `None` where they
-    /// can already.
+    /// can already, or where parts that want a sample are no more than one in [`MANY`] of `wanted`.
     pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
         let more = self.wanted.len();
         let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;

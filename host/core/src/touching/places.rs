@@ -124,7 +124,7 @@ impl PlaceSamples {
         self.all().chunks(COPIED).try_for_each(|places| to.write_all(cast_slice(places)))
     }
 
-    /// Reads so many of them, for so many samples; `None` if they are not in order, or have samples that
+    /// Reads so many of them, for so many samples; `None` if they are not in order, or refer to samples that
     /// there are not. A temporary file, should it be needed, is made in `folder`.
     pub fn read(
         mut from: impl Read,
