@@ -256,8 +256,8 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let sheets = unpack_sheets(graph, n, content.sheets).filter(|sheets| sheets.is_valid(n))?;
     let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces, samples.storage())?;
     let supports = Supports::known(samples, &sheets, ends, reaching);
-    let parted: Vec<u32> = fours(content.cells)?.iter().map(|what| u32::from_le_bytes(*what)).collect();
-    let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
+    let parted = fours(content.cells)?.as_chunks().0.iter().map(|cell| cell.map(u32::from_le_bytes));
+    let cells = HomeOctree::known(samples, &supports.radius, parted.collect())?;
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
     // Normals and neighbours are set at last, as whoever finds the geometry anew otherwise shall not go by

@@ -205,7 +205,7 @@ impl SampleSet {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
-        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
+        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph, &self.storage));
         true
     }
 
@@ -316,7 +316,8 @@ impl SampleSet {
 
     #[inline]
     fn neighbourhoods(&self) -> &Neighbourhoods {
-        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, self.graph_to(NEIGHBOURS)))
+        self.neighbourhoods
+            .get_or_init(|| Neighbourhoods::new(&self.positions, self.graph_to(NEIGHBOURS), &self.storage))
     }
 
     /// The graph of all samples to at most `count` nearest neighbours. Takes jobs of the thread pool.
@@ -356,10 +357,12 @@ impl SampleSet {
 }
 
 impl Neighbourhoods {
-    fn new(positions: &[Vec3], neighbours: NeighbourGraph) -> Self {
+    fn new(positions: &[Vec3], neighbours: NeighbourGraph, storage: &ListStorage) -> Self {
+        let seen = |_: &usize| storage.gone_through(size_of::<u32>() * neighbours.k());
         let near = SPACING_NEIGHBOURS.min(neighbours.k());
         let spacing = (0..positions.len())
             .into_par_iter()
+            .inspect(seen)
             .map(|i| {
                 let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
                 neighbours.nearest_to(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32
