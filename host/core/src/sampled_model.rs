@@ -742,7 +742,7 @@ impl SampledModel {
             let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
-        samples.store_lists(folder);
+        samples.store_lists(samples.usual_storage(folder));
         let fingerprint = description.samples_fingerprint;
         samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
         let skip = Skip {

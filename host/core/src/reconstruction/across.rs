@@ -615,7 +615,7 @@ mod tests {
         for i in inner {
             let n = samples.normals()[i];
             let expected = gradient(samples.positions[i]) * n;
-            for (sum, all) in sums.iter_mut().zip([&field.expansions, &field.turning]) {
+            for (sum, all) in sums.iter_mut().zip([&field.expansions[..], &field.turning[..]]) {
                 *sum += ((Mat3::IDENTITY + all[i].slope()) * n).distance_squared(expected);
             }
             count += 1.0;

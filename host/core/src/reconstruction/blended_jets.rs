@@ -400,7 +400,7 @@ pub(super) mod tests {
             let affine =
                 |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
             let mut expansions: Vec<Expansion> =
-                samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
+                samples.positions.iter().zip(&gradients.gradient[..]).map(affine).collect();
             let mut trouble = vec![0.0; 961];
             by(ExpansionFits { fitted, first: 0, expansions: &mut expansions, trouble: &mut trouble });
             let numbers = |(e, trouble): (&Expansion, &f32)| {

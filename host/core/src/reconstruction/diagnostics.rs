@@ -284,7 +284,13 @@ mod tests {
             };
             let expansions: Vec<Expansion> = scales.iter().map(expansion).collect();
             let neighbours = |i: usize| -> &[u32] { [&[1][..], &[0, 2], &[1, 3], &[2]][i] };
-            let folds = Folds::new(&expansions, is_told, &[Vec3::Z; 4][..scales.len()], neighbours);
+            let folds = Folds::new(
+                &expansions,
+                is_told,
+                &[Vec3::Z; 4][..scales.len()],
+                neighbours,
+                &ListStorage::Memory,
+            );
             (folds.samples, folds.first)
         };
         let along = |x: f32| Vec3::new(x, 1.0, 1.0);

@@ -398,7 +398,7 @@ mod tests {
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
-            for f in Gradients::fit(&set, &sheets, &deformed).0.gradient {
+            for f in Gradients::fit(&set, &sheets, &deformed).0.gradient.iter() {
                 assert!(f.is_finite() && f.to_cols_array().iter().all(|x| x.abs() < 4.0), "{f}");
             }
         }

@@ -171,7 +171,7 @@ pub fn sample_counted(
     let sampled = sample_kept(model, sampling, counted.as_deref(), folder, progress);
     model.keep_positions(None);
     let mut sampled = sampled?;
-    sampled.samples.store_lists(folder);
+    sampled.samples.store_lists(sampled.samples.usual_storage(folder));
     Ok(sampled)
 }
 

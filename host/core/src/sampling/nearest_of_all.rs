@@ -271,7 +271,7 @@ mod tests {
         fn those_of_all_are_those_of_each(points in points(), k in 0..40usize) {
             let k = k.min(points.len() - 1);
             let tree = KdTree::new(&points);
-            let all = tree.nearest_others_of_all(k);
+            let all = tree.nearest_others_of_all(k, &ListStorage::Memory);
             let mut found = vec![0; k];
             for (i, p) in points.iter().enumerate() {
                 tree.nearest_others(*p, i as u32, &mut found);

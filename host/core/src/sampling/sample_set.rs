@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::long_list::ListStorage;
-use simod_model::{Error, Result};
+use simod_model::{Error, Result, memory};
 
 use super::kd_tree::KdTree;
 use super::neighbour_graph::NeighbourGraph;
@@ -26,13 +26,11 @@ const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
 
-/// Bytes of the long lists of a sample in a reconstruction, about.
-const LISTS: u64 = 600;
+/// Bytes of a sample's entries in the long lists of a reconstruction, about.
+const LISTED: u64 = 600;
 
-/// Bytes that long lists may take in memory, for now.
-fn list_limit() -> u64 {
-    std::env::var("LISTS").ok().and_then(|b| b.parse().ok()).unwrap_or(1 << 40)
-}
+/// Most bytes that the long lists of a reconstruction take in memory: beyond them they are in temporary files.
+const MOST_LISTED: u64 = 1 << 30;
 
 /// Largest ratio of the extent of a sample that few others have for a neighbour to the median spacing around
 /// it.
@@ -165,10 +163,16 @@ impl SampleSet {
         &self.storage
     }
 
-    /// Sets the place of the long lists that will be found: memory as far as they take no more than `limit`
-    /// bytes in a reconstruction, and otherwise temporary files in `folder`. They are the same.
-    pub fn store_lists(&mut self, folder: &Path) {
-        self.storage = ListStorage::for_bytes(LISTS * self.len() as u64, list_limit(), folder);
+    /// Place of the long lists of this set where a reconstruction needs them: memory, as long as they take no
+    /// more than 1 GiB and an eighth of the machine's memory; otherwise temporary files in `folder`.
+    pub fn usual_storage(&self, folder: &Path) -> ListStorage {
+        let most = (memory::of_machine() / 8).min(MOST_LISTED);
+        ListStorage::for_bytes(LISTED * self.len() as u64, most, folder)
+    }
+
+    /// Sets the place of the long lists that are found from now on, whose values do not depend on it.
+    pub fn store_lists(&mut self, storage: ListStorage) {
+        self.storage = storage;
     }
 
     /// Another set of samples, whose long lists will be where those of these are.
