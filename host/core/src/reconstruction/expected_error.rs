@@ -354,7 +354,9 @@ impl DeformationField<'_> {
 
     /// Rounding error at a sample, local units.
     fn rounding_at(&self, sample: usize) -> f32 {
-        self.rounding.estimate(self.around.samples.positions[sample], self.expansions[sample].displacement())
+        let place = self.around.samples.positions[sample];
+        // The displacement as the expansion has it, which may be in a file.
+        self.rounding.estimate(place, self.deformed[sample] - place)
     }
 
     /// Samples around which more than `accepted` is expected, a fraction of the diagonal of the model of
