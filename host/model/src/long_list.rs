@@ -1,5 +1,5 @@
-//! Long lists of plain values, as those of P_S: in memory, or, where all of them together would take too much,
-//! in temporary files that are mapped.
+//! Long lists of plain values, as those of P_S: in memory, or, where all of them together would take too
+//! much, in temporary files that are mapped.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -22,8 +22,8 @@ pub enum ListStorage {
     /// Memory.
     #[default]
     Memory,
-    /// Temporary files in a folder, without a name. Their pages are the system's to keep or to write down, and
-    /// leave the process' memory as lists are [gone through](Self::gone_through).
+    /// Temporary files in a folder, without a name. Their pages are the system's to keep or to write down,
+    /// and leave the process' memory as lists are [gone through](Self::gone_through).
     Files(PathBuf),
 }
 
@@ -60,7 +60,8 @@ enum Held<T> {
 }
 
 impl<T: Pod> LongList<T> {
-    /// A list of so many zeros. If no file can be made, or the disk has no room for it, the list is in memory.
+    /// A list of so many zeros. If no file can be made, or the disk has no room for it, the list is in
+    /// memory.
     pub fn zeros(count: usize, storage: &ListStorage) -> Self {
         let in_memory = || Self(Held::Memory(memory::zeros(count)));
         match storage {

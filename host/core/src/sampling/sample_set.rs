@@ -29,7 +29,8 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// Bytes of a sample's entries in the long lists of a reconstruction, about.
 const LISTED: u64 = 600;
 
-/// Most bytes that the long lists of a reconstruction take in memory: beyond them they are in temporary files.
+/// Most bytes that the long lists of a reconstruction take in memory: beyond that they are in temporary
+/// files.
 const MOST_LISTED: u64 = 1 << 30;
 
 /// Largest ratio of the extent of a sample that few others have for a neighbour to the median spacing around
