@@ -12,6 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
+use simod_model::long_list::LongList;
 use simod_model::object::{self, is_object};
 use simod_model::output::{self, OutputFile};
 use simod_model::output_folder::OutputFolder;
@@ -544,7 +545,7 @@ impl SampledModel {
         };
         Ok(Self {
             source: self.source.clone(),
-            samples: SampleSet::new(positions, known)?,
+            samples: self.samples.stored_alike(SampleSet::new(positions, known)?),
             colors: Vec::new(),
             refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
             triangles,
@@ -741,6 +742,7 @@ impl SampledModel {
             let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
+        samples.store_lists(samples.usual_storage(folder));
         let fingerprint = description.samples_fingerprint;
         samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
         let skip = Skip {
@@ -793,9 +795,9 @@ impl SampledModel {
 
     /// Content of a file in the folder that the model was read from, of at most `most` bytes; `None` where
     /// there is no such file, or it cannot be read.
-    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
+    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<LongList<u8>> {
         let (folder, _) = self.folder.as_ref()?;
-        input::read(&folder.join(name), most).ok()
+        input::read_long(&folder.join(name), most, self.samples.storage()).ok()
     }
 
     /// Puts a file into the folder that the model was read from, if there is one, unless another process is

@@ -31,6 +31,7 @@ mod in_memory;
 mod in_step;
 pub mod input;
 mod las;
+pub mod long_list;
 pub mod mapped;
 pub mod memory;
 mod model;
