@@ -110,12 +110,9 @@ impl Session {
             let output = out.as_deref().map_or_else(|| session.output_beside(&self.path), Ok)?.to_owned();
             let mut guard = Guard::new(overwrite);
             guard.reads(&self.path);
-            let named = session.named_model()?;
-            guard.reads_all(named.iter().flat_map(|named| named.files()));
             guard.reads_all(inputs(&self.path)?);
             guard.reads_all(plugins.files());
-            guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
+            check_targets(guard, &session, &output, diagnostics.as_deref())?;
             let run = Run::execute_with(&session, &plugins, &running, &output, watch)?;
             let error = measure.then(|| run.transfer_error(watch)).transpose()?;
             Ok((run, error))
@@ -126,6 +123,19 @@ impl Session {
         warn(py, &notes)?;
         record(py, "Report", &report(&run, error))
     }
+}
+
+/// Checks that neither the output nor the diagnostics take the place of what is read, or of what is there.
+fn check_targets(
+    mut guard: Guard,
+    session: &SessionFile,
+    output: &Path,
+    diagnostics: Option<&Path>,
+) -> simod_model::Result<()> {
+    let named = session.named_model()?;
+    guard.reads_all(named.iter().flat_map(|named| named.files()));
+    guard.writes_model(output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
+    diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))
 }
 
 /// What is told of a run, with the error that was measured beside the exact deformation.
