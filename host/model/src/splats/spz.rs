@@ -81,9 +81,8 @@ pub(crate) fn is_gzip(start: &[u8]) -> bool {
 pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let damaged = |what: &str| source.malformed(what, HINT);
     let mut header = [0; HEADER as usize];
-    let reader = || GzDecoder::new(SourceReader { source: &source, at: 0 });
     let unknown = |e| damaged("it is compressed by gzip, and its content is of no known format").because(e);
-    reader().read_exact(&mut header).map_err(unknown)?;
+    reader(&source).read_exact(&mut header).map_err(unknown)?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let [version, count] = [word(4), word(8)];
     let (degree, fraction) = (usize::from(header[12]), i32::from(header[13]));
@@ -107,14 +106,29 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
             source.len()
         )));
     }
+    let unpacked = unpack(&source, (count, bytes), making)?;
+    let mut info = info(format!("SPZ {version}"), &source, u64::from(count), each as u64, harmonics);
+    let unit = 2f64.powi(fraction);
+    info.step = DVec3::splat(1.0 / unit);
+    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
+    Ok(Box::new(Spz { source, unpacked, info, following, sizes, unit }))
+}
+
+/// The bytes of a file that is compressed by gzip.
+fn reader(source: &SourceFile) -> GzDecoder<SourceReader<'_>> {
+    GzDecoder::new(SourceReader { source, at: 0 })
+}
+
+/// Unpacks so many splats, of so many bytes with the header, into the cache.
+fn unpack(source: &SourceFile, (count, bytes): (u32, u64), making: &Making<'_>) -> Result<SourceFile> {
+    let damaged = |what: &str| source.malformed(what, HINT);
     let need = CachedContent { what: "its splats are unpacked", bytes: bytes..=bytes, meanwhile: 0 };
-    let unpacked = making.cache.get(&source, &need, making.progress, |to| {
-        let (mut reader, mut block, mut at) = (reader(), vec![0; BLOCK], 0);
+    making.cache.get(source, &need, making.progress, |to| {
+        let (mut reader, mut block, mut at) = (reader(source), vec![0; BLOCK], 0);
         loop {
             making.progress.check()?;
-            let read = reader
-                .read(&mut block)
-                .map_err(|e| damaged(&format!("its compressed bytes are damaged: {e}")))?;
+            let read = reader.read(&mut block);
+            let read = read.map_err(|e| damaged(&format!("its compressed bytes are damaged: {e}")))?;
             if at + read as u64 > bytes || (read == 0 && at < bytes) {
                 let what =
                     format!("its header says {count} splats, but the bytes for them are of another number");
@@ -126,12 +140,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
             to.write_at(&block[..read], at)?;
             at += read as u64;
         }
-    })?;
-    let mut info = info(format!("SPZ {version}"), &source, u64::from(count), each as u64, harmonics);
-    let unit = 2f64.powi(fraction);
-    info.step = DVec3::splat(1.0 / unit);
-    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
-    Ok(Box::new(Spz { source, unpacked, info, following, sizes, unit }))
+    })
 }
 
 struct SourceReader<'a> {
