@@ -18,7 +18,7 @@ use simod_model::output::{self, OutputFile};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Attribute, Besides, Cache, Error, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
+    Attribute, Besides, Cache, Error, ErrorMark, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
     VertexChunk, pattern_of,
 };
 use xxhash_rust::xxh3::Xxh3Default;
@@ -270,7 +270,7 @@ mod any_path {
             }
             #[cfg(not(unix))]
             Written::Bytes(_) => {
-                return Err(serde::de::Error::custom("the model's name is none on this system"));
+                return Err(serde::de::Error::custom("the model's name is no path on this system"));
             }
         })
     }
@@ -462,23 +462,6 @@ impl SamplingRecord {
             skip,
         }
     }
-}
-
-/// Cause of errors about a source that is gone, or is not the model that was sampled: another path may help.
-#[derive(Debug)]
-struct OtherSource;
-
-impl std::fmt::Display for OtherSource {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("the source is not what was sampled")
-    }
-}
-
-impl std::error::Error for OtherSource {}
-
-/// Whether an error is about a sampled model's source, which is gone or not what was sampled.
-pub fn is_other_source(error: &Error) -> bool {
-    std::error::Error::source(error).is_some_and(|source| source.is::<OtherSource>())
 }
 
 impl SampledModel {
@@ -904,7 +887,7 @@ impl SampledModel {
         {
             let what = format!("the sampled model's source {} is gone", gone.display());
             let hint = "put it back, or say where it is with --model";
-            return Err(Error::system(what, hint).because(OtherSource));
+            return Err(Error::system(what, hint).marked(ErrorMark::OtherSource));
         }
         let model = named.open(self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
@@ -920,7 +903,7 @@ impl SampledModel {
             let what = format!("{} is {}, but {} were sampled", path.display(), files(now), files(then));
             let hint =
                 "give the tiles that were sampled, or the folder that they were moved to, with --model";
-            return Err(Error::mismatch(what, hint).because(OtherSource));
+            return Err(Error::mismatch(what, hint).marked(ErrorMark::OtherSource));
         }
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));
@@ -943,7 +926,7 @@ impl SampledModel {
             format!("{} changed since it was sampled{which}", path.display()),
             "sample it again, or give the file that was sampled with --model",
         )
-        .because(OtherSource)
+        .marked(ErrorMark::OtherSource)
     }
 
     /// The tiles that were written after the samples were.
@@ -1046,7 +1029,7 @@ impl SampledModel {
     fn localized(&self, deformed: DeformedFile<'_>, progress: &dyn Progress) -> Result<DeformedPositions> {
         let path = deformed.path;
         let mut places = deformed.into_ordered(self.samples.len())?;
-        let precision = StoredPrecision::of(&places);
+        let precision = StoredPrecision::measure(&places);
         if let Some(note) = self.coarseness(&precision) {
             progress.note(&format!("{}: {note}", path.display()));
         }
@@ -1066,7 +1049,7 @@ impl SampledModel {
         let (step, diagonal) = (precision.coarsest(), self.bounds.diagonal());
         let own = || {
             let rest: Vec<DVec3> = self.samples.positions.iter().map(|p| self.frame.to_model(*p)).collect();
-            StoredPrecision::of(&rest).coarsest()
+            StoredPrecision::measure(&rest).coarsest()
         };
         (step > COARSE * diagonal && step > own()).then(|| {
             format!(

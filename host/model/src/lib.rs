@@ -76,7 +76,7 @@ pub use attribute::Attribute;
 pub use cache::Cache;
 pub use colors::{ColorScale, Colors};
 pub use convert::{Converted, ConvertedTiles, convert_tiles, converted_names};
-pub use error::{Error, ErrorKind, Result};
+pub use error::{Error, ErrorKind, ErrorMark, Result};
 pub use form::{Conversion, Rounding};
 pub use formats::{extensions, is_model, is_named_otherwise, note_on_name, tells_when_opened};
 pub use in_memory::InMemory;

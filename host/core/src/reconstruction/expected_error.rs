@@ -112,7 +112,7 @@ impl DeformationField<'_> {
     /// has to be [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
-        let homes = Homes::new(self.around).of(&places);
+        let homes = Homes::new(self.around).find_at(&places);
         for ((place, off), home) in found.iter().zip(homes) {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);

@@ -102,7 +102,11 @@ impl<'a> DeformationField<'a> {
     ///
     /// # Panics
     /// The number of deformed positions is not that of the samples.
-    pub fn of(around: &'a RestGeometry<'a>, deformed: &'a DeformedPositions, method: Method) -> Self {
+    pub fn from_deformed(
+        around: &'a RestGeometry<'a>,
+        deformed: &'a DeformedPositions,
+        method: Method,
+    ) -> Self {
         Self { shift: deformed.shift, ..Self::new(around, &deformed.local, method) }
     }
 

@@ -292,7 +292,7 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     let places: Vec<DVec3> = set.positions.iter().map(|p| to(*p)).collect();
     let deformed = DeformedPositions::new(&LOCAL, &set.positions, &places);
     assert!(!deformed.is_unshifted());
-    let field = DeformationField::of(&around, &deformed, Method::BlendedJets);
+    let field = DeformationField::from_deformed(&around, &deformed, Method::BlendedJets);
     let rest: Vec<DVec3> = patch(220).map(|p| p.as_dvec3()).collect();
     let carried = |rest: &[DVec3]| {
         let mut positions = rest.to_vec();
