@@ -186,7 +186,7 @@ impl<'a, T: Stored> Below<'a, T> {
     pub fn transposed_times(&self, known: &Sides, sums: &mut Sides) {
         let height = self.height();
         let [x, y, z] = known.each_ref().map(|side| &side[..height]);
-        // Backwards, as fronts are gone through, so that memory is read in one direction.
+        // From the last column to the first, as fronts are gone through: memory is read in one direction.
         for j in (0..self.columns).rev() {
             let column = &self.column(j)[..height];
             let (mut a, mut b, mut c) =

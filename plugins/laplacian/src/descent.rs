@@ -1,5 +1,5 @@
-//! What earlier steps of a descent tell of the energy (J. Nocedal, S. Wright, *Numerical Optimization*,
-//! §7.2).
+//! Earlier steps of a descent, by which the next one is chosen (J. Nocedal, S. Wright, *Numerical
+//! Optimization*, §7.2).
 
 use glam::DVec3;
 use simod_cholesky::Factor;
@@ -11,7 +11,7 @@ const TOGETHER: usize = 1 << 14;
 /// Steps that are remembered.
 const REMEMBERED: usize = 6;
 
-/// What the last steps told of the energy's second derivative.
+/// Steps of a descent so far, which approximate the energy's second derivative.
 #[derive(Debug, Default)]
 pub struct Past {
     /// Steps, changes of the gradient, and one over their products.
@@ -19,7 +19,7 @@ pub struct Past {
 }
 
 impl Past {
-    /// Whether there is none.
+    /// Whether there are no earlier steps.
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }

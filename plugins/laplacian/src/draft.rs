@@ -1,9 +1,9 @@
 //! A quick picture: a coarse likeness' pose, carried over to the surface.
 //!
-//! Groups move rigidly, and nodes by the weighted means of what the groups around them do. What is rough
-//! about that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
-//! 2007). All is in single precision, as what is shown is, since the time goes to memory. What nodes take of
-//! each group is known beforehand (`levers`), so that no map of a node's own is made.
+//! Groups move rigidly, and nodes by the weighted means of the maps of the groups around them. The roughness
+//! of that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
+//! 2007). All is in single precision, as what is shown is, since the time goes to memory. Each node's shares
+//! of the groups are known beforehand (`levers`), so that no map of a node's own is made.
 
 use crate::coarse::Lists;
 use crate::constraints::OwnMotions;
@@ -15,23 +15,24 @@ use std::sync::OnceLock;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;
-/// How much of each of Jacobi's steps is made: the most that takes down all that is rough, whatever the
+/// Part of each of Jacobi's steps that is made: the most that takes down all roughness, whatever the
 /// triangles.
 const PART: f64 = 0.6;
 
-/// What free nodes take of the nodes next to them.
+/// Coefficients of the steps that smooth the displacements of free nodes.
 ///
 /// Memory: 8 bytes for each node next to a node, and 4 for each node; about twice as much while that is made.
 #[derive(Debug)]
 pub struct Draft {
-    /// The part of what a node lacks that a step makes: what it lacks is divided by what it has to itself.
+    /// Factor of the residual of each node's equation in a step: `PART` over the equation's diagonal.
     parts: Vec<f32>,
-    /// What a step takes off for where nodes are: their numbers, the node's own included, and coefficients.
+    /// Numbers and coefficients of the nodes whose displacements a step takes off at each node, its own
+    /// included.
     steps: Lists<(u32, f32)>,
 }
 
 impl Draft {
-    /// What the nodes of a problem take.
+    /// Coefficients of the nodes of a problem.
     fn new(fine: &Problem, host: &Host<'_>) -> PluginResult<Self> {
         let part = |i: usize| {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
@@ -44,7 +45,7 @@ impl Draft {
         Ok(Self { parts: (0..fine.free).map(|i| part(i) as f32).collect(), steps })
     }
 
-    /// What the nodes take, found when the first draft asks for it: what is deformed in full needs none.
+    /// Coefficients of the nodes, found when the first draft asks for them: a full deformation needs none.
     pub fn once<'a>(kept: &'a OnceLock<Self>, fine: &Problem, host: &Host<'_>) -> PluginResult<&'a Self> {
         match kept.get() {
             Some(draft) => Ok(draft),
@@ -82,7 +83,7 @@ impl Draft {
                 *node = carried_node(levers.row(i), fine.rest[i], self.parts[i], &maps);
             }
         })?;
-        // What the rotations ask for is the same in each step.
+        // Part of each step that the rotations ask for is the same in both steps.
         let mut smoothed: Vec<Vec3A> = carried.iter().map(|node| node.placed).collect();
         host.parallel_blocks(&mut smoothed[..fine.free], TOGETHER, |first, smoothed| {
             for (i, d) in (first..).zip(smoothed) {
@@ -97,22 +98,22 @@ impl Draft {
         Ok(placed)
     }
 
-    /// How far a step of Jacobi's method takes a node.
+    /// Displacement of a node by a step of Jacobi's method.
     fn step(&self, node: usize, asked: Vec3A, given: impl Fn(usize) -> Vec3A) -> Vec3A {
         self.steps.row(node).iter().fold(asked, |step, (j, part)| step - given(*j as usize) * *part)
     }
 }
 
-/// A node on its way.
+/// Node on the way through a draft.
 #[derive(Debug, Clone, Copy)]
 struct CarriedNode {
-    /// Its displacement.
+    /// Displacement of the node.
     placed: Vec3A,
-    /// The part of each step that the rotations around it ask for.
+    /// Part of each step that the rotations around the node ask for.
     asked: Vec3A,
 }
 
-/// A node as the maps of the groups around it carry it, of whose steps so large a part is made.
+/// A node as the maps of the groups around it carry it; `part` is the factor of its residual in a step.
 fn carried_node(shares: &[GroupShare], at: DVec3, part: f32, maps: &[Affine3A]) -> CarriedNode {
     let at = at.as_vec3a();
     let mut carried = CarriedNode { placed: Vec3A::ZERO, asked: Vec3A::ZERO };

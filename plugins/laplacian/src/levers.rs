@@ -1,9 +1,10 @@
-//! What the rotations of a coarse likeness' groups do to the nodes of the fine problem, known beforehand.
+//! Coefficients by which rotations of a coarse likeness' groups act on the nodes of the fine problem.
 //!
 //! Where nodes turn by weighted means of their groups' rotations, both steps of *as rigid as possible* are sums
-//! over nodes and groups of one coefficient for each pair, a *lever*: what a group's rotation asks of a node is
-//! its change times the lever, and what the node's displacement tells of the rotation is the product of both.
-//! Neither needs a matrix for each node, and most of the time goes to memory.
+//! over pairs of a node and a group, each with one coefficient, its *lever*. In the global step, a group's
+//! change times the lever is part of the node's side of the equations; in the local step, the product of the
+//! node's displacement and the lever is part of the group's covariance. So no matrix of a node's own is made,
+//! and most of the time goes to memory.
 
 use crate::cells::covariances;
 use crate::coarse::{Lists, Prolongation};
@@ -14,36 +15,36 @@ use std::sync::OnceLock;
 
 /// Nodes at once on one thread, while levers are found.
 const TOGETHER: usize = 4096;
-/// Nodes at once whose covariances are summed up by one thread: many, as each thread has a sum for each group …
+/// Nodes at once that one thread adds to covariances: many, as each such part has a sum for each group …
 const LEAST_SUMMED: usize = 1 << 14;
-/// … and at most so many parts, whatever the number of threads: sums are taken in one order.
+/// … and most parts, whatever the number of threads, as sums are taken in one order.
 const MOST_PARTS: usize = 16;
 
-/// What the nodes of a problem take of the groups of its coarse likeness.
+/// Shares that the nodes of a problem have in the groups of its coarse likeness.
 ///
 /// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten; about twice
-/// as much while that is found.
+/// as much while they are found.
 #[derive(Debug)]
 pub struct GroupLevers {
-    /// Of all nodes, the held ones included.
+    /// Shares of all nodes, the held ones included.
     shares: Lists<GroupShare>,
-    /// What the groups' covariances are at rest, for those whose surroundings are whole.
+    /// Covariances at rest of the groups whose surroundings are whole.
     at_rest: Vec<DMat3>,
 }
 
-/// What a node takes of a group.
+/// Share that a node has in a group's map.
 #[derive(Debug, Clone, Copy)]
 pub struct GroupShare {
-    /// The group's number.
+    /// Number of the group.
     pub group: u32,
-    /// The group's part in how the node is carried.
+    /// Weight of the group in the node's displacement.
     pub weight: f32,
-    /// What the group's rotation asks of the node is its change times this.
+    /// Factor of the change of the group's rotation in the node's equation.
     pub lever: [f32; 3],
 }
 
 impl GroupLevers {
-    /// The levers of a problem whose likeness has so many groups that turn.
+    /// Levers of a problem whose likeness has `groups` that turn.
     fn new(
         fine: &Problem,
         groups: usize,
@@ -58,7 +59,7 @@ impl GroupLevers {
         Ok(Self { shares, at_rest })
     }
 
-    /// The levers, found when they are asked for first.
+    /// Levers, found when they are asked for first.
     pub fn once<'a>(
         kept: &'a OnceLock<Self>,
         fine: &Problem,
@@ -75,12 +76,12 @@ impl GroupLevers {
         }
     }
 
-    /// What a node takes of the groups around it.
+    /// Shares that a node has in the groups around it.
     pub fn row(&self, node: usize) -> &[GroupShare] {
         self.shares.row(node)
     }
 
-    /// What the groups' matrices ask of a node: nothing where they are the identity.
+    /// Part of a node's equation that the groups' matrices make: zero where they are the identity.
     pub fn asked(&self, node: usize, matrices: &[DMat3]) -> DVec3 {
         self.row(node).iter().fold(DVec3::ZERO, |sum, GroupShare { group, lever, .. }| {
             let lever = DVec3::from(lever.map(f64::from));
@@ -88,7 +89,7 @@ impl GroupLevers {
         })
     }
 
-    /// What the nodes, displaced, tell of the groups' rotations.
+    /// Covariances of the groups, given the displacements of all nodes.
     pub fn covariances(&self, displacements: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
         let length = displacements.len().div_ceil(MOST_PARTS).max(LEAST_SUMMED);
         let mut parts = vec![Vec::new(); displacements.len().div_ceil(length)];
@@ -106,7 +107,7 @@ impl GroupLevers {
         Ok(covariances)
     }
 
-    /// Adds what a node's displacement tells.
+    /// Adds a node's part of the covariances.
     fn add(&self, node: usize, displacement: DVec3, sums: &mut [DMat3]) {
         for GroupShare { group, lever: [x, y, z], .. } in self.row(node) {
             let sum = &mut sums[*group as usize];
@@ -117,7 +118,7 @@ impl GroupLevers {
     }
 }
 
-/// What a node takes of all groups around it and those next to it.
+/// Shares that a node has in all groups around it and around the nodes next to it.
 fn group_shares(fine: &Problem, prolongation: &Prolongation, node: usize, shares: &mut Vec<GroupShare>) {
     // Held nodes farther from free ones do not turn.
     if node < fine.rows {

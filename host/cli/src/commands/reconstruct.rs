@@ -77,7 +77,7 @@ pub struct Reconstruct {
     overwrite: Overwrite,
 }
 
-/// What becomes of normals.
+/// Treatment of the model's normals.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum NormalsName {
     /// They keep their bytes
@@ -99,7 +99,7 @@ impl From<NormalsName> for Normals {
     }
 }
 
-/// What becomes of the offset of positions.
+/// Treatment of the offset of positions that are stored as integers.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum OffsetName {
     /// It stays; what moves beyond the integers is an error
@@ -167,7 +167,7 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// Nothing that is read is written over.
+    /// Checks that nothing that is read is written over.
     fn check_paths(&self, paths: &[VersionPaths], sampled: &SampledModel) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
@@ -183,7 +183,8 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// The model, as it is to be written: with what turns, the offset and the format that were asked for.
+    /// Opens the model as it is to be written: with the attributes that turn, the offset and the format
+    /// that were asked for.
     fn open_model(
         &self,
         sampled: &SampledModel,
@@ -210,7 +211,7 @@ impl Reconstruct {
         Ok(model)
     }
 
-    /// What was written, and what there is to know of it.
+    /// Reports the outputs, and their figures.
     fn tell(
         &self,
         done: &Reconstructed,
@@ -243,7 +244,8 @@ impl Reconstruct {
 }
 
 impl Reconstruct {
-    /// An error where any vertex of a version is expected to be off by more; what is expected at most.
+    /// Returns an error where any vertex of a version is expected to be off by more than the tolerance;
+    /// otherwise the greatest expected error.
     fn check_tolerance(
         &self,
         tolerance: Tolerance,
@@ -269,7 +271,7 @@ impl Reconstruct {
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let ErrorExcess { worst, rounding, place, samples, needed } = beyond;
-                // What refinement goes by is without rounding.
+                // Refinement goes by the expected error without rounding.
                 let asked = (tolerance.powi(2) - rounding.powi(2)).max(0.0).sqrt().max(0.5 * tolerance);
                 return Err(Error::argument(
                     format!(
@@ -297,7 +299,7 @@ impl Reconstruct {
         Ok(most)
     }
 
-    /// The command that adds samples to come below an error.
+    /// Command that adds samples to come below an error.
     fn refining(&self, paths: &VersionPaths, error: f64) -> String {
         let model =
             self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
@@ -309,7 +311,8 @@ impl Reconstruct {
         )
     }
 
-    /// Says how far the versions are expected to be off, and warns where that is more than will be accepted.
+    /// Reports the expected errors of the versions, and warns where these are larger than a user will
+    /// accept.
     fn describe_expected(
         &self,
         paths: &[VersionPaths],
@@ -344,11 +347,11 @@ impl Reconstruct {
     }
 }
 
-/// A positive number to three digits that is no larger: who meets it meets the number.
+/// Positive number of three digits that is no larger: an error that meets it meets `x`.
 fn rounded_down(x: f64) -> f64 {
     let digits = |x: f64| format!("{x:.2e}").parse().unwrap_or(x);
     let nearest = digits(x);
-    // Three quarters of the last digit less is rounded to the one below.
+    // The number less three quarters of its last digit is rounded to the one below.
     if nearest <= x { nearest } else { digits(x - 0.0075 * 10f64.powf(x.log10().floor())) }
 }
 
@@ -359,14 +362,14 @@ fn quoted(path: &Path) -> String {
     shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }
 
-/// Says what turns with the surface besides normals and tangents.
+/// Reports the attributes that turn with the surface besides normals and tangents.
 pub fn tell_following(model: &dyn Model, report: &mut Report) {
     let Some(following) = model.following() else { return };
     report.line(format!("turning with the surface: {}", following.descriptions().join("; ")));
     report.figure("following", following.descriptions().to_vec());
 }
 
-/// How far vertices are expected to be off, for `--json`.
+/// Expected error of the vertices, for `--json`.
 pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     let mut figures = json!(expected);
     if let Some(beyond) = figures.get_mut("beyond").filter(|beyond| beyond.is_object()) {
@@ -375,7 +378,7 @@ pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     with_lengths(figures, &["rms", "p999", "worst"], diagonal)
 }
 
-/// Reports how far vertices are expected to be off.
+/// Reports the expected error of the vertices.
 pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
     let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
     report.line(format!(
@@ -385,7 +388,7 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
     ));
 }
 
-/// Warns where more is expected than a user will accept.
+/// Warns where the expected error is larger than a user will accept.
 pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str, report: &mut Report) {
     let ErrorExcess { worst, place, samples, .. } = beyond;
     report.warn(format!(
@@ -400,7 +403,7 @@ pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str,
     ));
 }
 
-/// Says where the versions fold the surface.
+/// Reports the places where the versions fold the surface.
 fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
     let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
     report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());
