@@ -1,10 +1,10 @@
 //! Coefficients by which rotations of a coarse likeness' groups act on the nodes of the fine problem.
 //!
-//! Where nodes turn by weighted means of their groups' rotations, both steps of *as rigid as possible* are sums
-//! over pairs of a node and a group, each with one coefficient, its *lever*. In the global step, a group's
-//! change times the lever is part of the node's side of the equations; in the local step, the product of the
-//! node's displacement and the lever is part of the group's covariance. So no matrix of a node's own is made,
-//! and most of the time goes to memory.
+//! Where nodes turn by weighted means of their groups' rotations, both steps of *as rigid as possible* are
+//! sums over pairs of a node and a group, each with one coefficient, its *lever*. In the global step, a
+//! group's change times the lever is part of the node's side of the equations; in the local step, the product
+//! of the node's displacement and the lever is part of the group's covariance. So no matrix of a node's own
+//! is made, as most of the time goes to memory.
 
 use crate::cells::covariances;
 use crate::coarse::{Lists, Prolongation};
@@ -22,8 +22,8 @@ const MOST_PARTS: usize = 16;
 
 /// Shares that the nodes of a problem have in the groups of its coarse likeness.
 ///
-/// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten; about twice
-/// as much while they are found.
+/// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten; about
+/// twice as much while they are found.
 #[derive(Debug)]
 pub struct GroupLevers {
     /// Shares of all nodes, the held ones included.
@@ -189,7 +189,7 @@ mod tests {
         for (group, (found, expected)) in found.iter().zip(&expected).enumerate() {
             assert!(numbers(&(*found - *expected)) < 1e-6 * size, "{group}: {found} instead of {expected}");
         }
-        // What does not turn asks for nothing at all.
+        // Groups that do not turn add nothing at all.
         assert_eq!(levers.asked(17, &vec![DMat3::IDENTITY; coarse.rows]), DVec3::ZERO);
     }
 }
