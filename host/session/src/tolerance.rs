@@ -1,13 +1,16 @@
 //! Runs to a tolerance: samples are added where the transfer is expected to be off by more, and deformed by
 //! the plugins, until it is nowhere. Samples that the transfer itself placed would tell nothing about it.
+//! What samples expect is asked first, as that costs little, and then what is expected of each vertex.
 
 use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
 
 use glam::DVec3;
-use simod_core::reconstruction::transfer_error::{Excesses, TransferError, measure_some};
-use simod_core::reconstruction::{DeformationField, ErrorExcess, Method, RestGeometry};
+use simod_core::reconstruction::transfer_error::TransferError;
+use simod_core::reconstruction::{
+    DeformationField, ErrorExcess, ExactSample, ExpectedError, JudgedVertices, Method, RestGeometry, judge,
+};
 use simod_core::refinement::{Finer, SamplesNeed};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{SampleSet, Target};
@@ -18,7 +21,7 @@ use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Room, ShapePose};
 use crate::shapes::{RegionShape, Shapes};
-use crate::step::{Refine, Step};
+use crate::step::{Action, Refine, Step};
 use simod_plugin_api::Time;
 
 /// The search begins with no fewer samples. First samples stay: those of a few large clusters, at the means
@@ -51,6 +54,10 @@ const FEW: u64 = 1 << 20;
 const FALLS: f64 = 0.9;
 /// ... in so many rounds. Where few samples are added among sparse ones, it rises for a while.
 const PATIENCE: usize = 7;
+
+/// A search that may begin anew with more first samples does so after so many rounds in which it has not
+/// fallen to that part.
+const STALLED: usize = 3;
 
 /// From samples so many times as near to each other on, what is expected there has to have fallen by as much
 /// at least: where a deformation is smooth it falls with the third power, and at a step not at all.
@@ -108,6 +115,8 @@ pub struct Certificate {
     pub tolerance: f64,
     /// The largest error that is expected around a sample.
     pub expected: f64,
+    /// How far the vertices are expected to be off, or are where the exact map was asked.
+    pub of_vertices: ExpectedError,
     /// Number of samples that were added.
     pub added: u64,
     /// The number of rounds.
@@ -193,7 +202,7 @@ impl Sought<'_> {
         check_precision(&sampled, self.model, self.tolerance)?;
         let mut sampled_anew = None;
         loop {
-            let first = match (self.search(sampled)?, sample) {
+            let first = match (self.search(sampled, sample.is_some())?, sample) {
                 (Ended::Met(met), _) => {
                     let (deformed, certificate) = *met;
                     return Ok((deformed, Certificate { sampled_anew, ..certificate }));
@@ -212,10 +221,10 @@ impl Sought<'_> {
         }
     }
 
-    /// The search with these first samples.
-    fn search(&self, sampled: SampledModel) -> Result<Ended> {
+    /// The search with these first samples, which may begin anew with others.
+    fn search(&self, sampled: SampledModel, may_begin_anew: bool) -> Result<Ended> {
         let Self { steps, progress, .. } = *self;
-        let mut search = ToleranceSearch::new(&sampled, self);
+        let mut search = ToleranceSearch::new(&sampled, self, may_begin_anew);
         let how = Refinements { folder: self.folder.to_owned(), time: self.time, ..Refinements::default() };
         let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
             deform(sampled, steps, self.plugins, how.clone(), progress)
@@ -247,6 +256,8 @@ enum Ended {
 /// The search for samples by which no vertex is expected to be off by more.
 struct ToleranceSearch<'a> {
     sought: &'a Sought<'a>,
+    /// Whether it may end early for the sake of another one, with more first samples.
+    may_begin_anew: bool,
     /// What is asked for where it is refined: finer than what is allowed, as density changes around what is
     /// refined, which costs precision there.
     asked: f64,
@@ -271,11 +282,12 @@ enum Round {
 }
 
 impl<'a> ToleranceSearch<'a> {
-    fn new(sampled: &SampledModel, sought: &'a Sought<'a>) -> Self {
+    fn new(sampled: &SampledModel, sought: &'a Sought<'a>, may_begin_anew: bool) -> Self {
         let first = sampled.samples.len() as u64;
         let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
         Self {
             sought,
+            may_begin_anew,
             asked: (ASKED * sought.tolerance).max(LEAST_LOCAL / of_diagonal),
             first,
             most: (MOST * first).max(FEW).min(sampled.source.vertices),
@@ -301,18 +313,22 @@ impl<'a> ToleranceSearch<'a> {
         let beyond = match field.expected_beyond(of, tolerance) {
             Some(beyond) => beyond,
             None => {
-                let found = truth(deformed, model, &field, tolerance, progress)?;
-                if found.as_ref().is_none_or(|(truth, _)| truth.max <= tolerance) {
-                    return Ok(Round::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
+                field = field.expecting_of_vertices();
+                let judged = self.judged(deformed, &field)?;
+                if judged.beyond == 0 {
+                    return Ok(Round::Met(self.certificate(of, &field, &judged)));
                 }
-                // The estimate was too small there.
-                field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
-                field.expected_beyond(of, tolerance).ok_or_else(|| {
+                // What samples expect was too little there.
+                field.learn(of, &judged, tolerance).ok_or_else(|| {
                     not_met(of, [tolerance; 2], "single vertices are off by a little more", None)
                 })?
             }
         };
         if let Some(why) = self.why_ended(of, &field, &beyond) {
+            return Ok(self.held_up(of, &why, &beyond));
+        }
+        if self.may_begin_anew && self.waited >= STALLED && self.first_anew(of, &beyond).is_some() {
+            let why = format!("{STALLED} rounds of refinement have not lessened it");
             return Ok(self.held_up(of, &why, &beyond));
         }
         match self.refine(of, &field, &beyond)? {
@@ -348,16 +364,25 @@ impl<'a> ToleranceSearch<'a> {
         (helps && !rounds_off && first <= of.samples.len() as u64).then_some(first)
     }
 
+    /// What is known of each vertex, where the exact map is asked if it is known.
+    fn judged(&self, deformed: &DeformedSamples, field: &DeformationField<'_>) -> Result<JudgedVertices> {
+        let Sought { model, tolerance, progress, .. } = *self.sought;
+        let map = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
+        let exact = deformed.stack.can_evaluate().then_some(ExactSample { most: MEASURED, map: &map });
+        judge(model, field, &deformed.sampled, tolerance, exact, progress)
+    }
+
     fn certificate(
         &self,
         of: &SampledModel,
         field: &DeformationField<'_>,
-        truth: Option<TransferError>,
+        judged: &JudgedVertices,
     ) -> Certificate {
         let expected = field.expected_beyond(of, 0.0).map_or(0.0, |all| all.worst);
         let added = of.samples.len() as u64 - self.first;
         let (tolerance, rounds) = (self.sought.tolerance, self.rounds);
-        Certificate { tolerance, expected, added, rounds, sampled_anew: None, truth }
+        let JudgedVertices { expected: of_vertices, truth, .. } = *judged;
+        Certificate { tolerance, expected, of_vertices, added, rounds, sampled_anew: None, truth }
     }
 
     /// Why more samples would not help, if they would not.
@@ -367,7 +392,7 @@ impl<'a> ToleranceSearch<'a> {
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
     ) -> Option<String> {
-        self.beginning.as_ref()?.why_not(of, field, beyond)
+        self.beginning.as_ref()?.why_not(of, field, beyond, self.sought.steps)
     }
 
     /// What is told, besides, where the worst is around a sample of those at the beginning: they stay, and
@@ -464,6 +489,7 @@ impl UnrefinedState {
         now: &SampledModel,
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
+        steps: &[Step],
     ) -> Option<String> {
         let ErrorExcess { worst, rounding, place, .. } = *beyond;
         if ROUNDING * rounding > worst {
@@ -480,27 +506,28 @@ impl UnrefinedState {
         let disagree = f64::from(field.disagreement(at));
         (nearer > NEARER && before < nearer * disagree).then(|| {
             let [before, disagree] = [before, disagree].map(|x| x / now.local_diagonal());
+            let near = AROUND * spacing(&self.sampled.samples) * now.frame.scale;
+            let rim = step_with_rim(steps, place, near)
+                .map_or_else(String::new, |step| format!(" at the rim of a region of the step {step}"));
             format!(
-                "the deformation has a step there, or details of the size of the vertices' spacing, as samples {nearer:.1} \
-                 times as near to each other disagree by {disagree:.1e}, and {before:.1e} at first"
+                "the deformation has a step there, or bends sharply{rim}, or has details of the size of the vertices' \
+                 spacing, as samples {nearer:.1} times as near to each other disagree by {disagree:.1e}, and {before:.1e} \
+                 at first"
             )
         })
     }
 }
 
-/// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
-fn truth(
-    deformed: &DeformedSamples,
-    model: &dyn Model,
-    field: &DeformationField<'_>,
-    tolerance: f64,
-    progress: &dyn Progress,
-) -> Result<Option<(TransferError, Excesses)>> {
-    if !deformed.stack.can_evaluate() {
-        return Ok(None);
-    }
-    let exact = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
-    measure_some(model, field, &deformed.sampled, (MEASURED, tolerance), &exact, progress).map(Some)
+/// The first step, if the rim of one of its regions is so near to a place of the model at rest: to either
+/// side of it a deformation need not bend alike.
+fn step_with_rim(steps: &[Step], place: DVec3, near: f64) -> Option<&str> {
+    let deformations = steps.iter().filter(|step| step.enabled).filter_map(|step| match &step.action {
+        Action::Deform(deformation) => Some(deformation),
+        Action::Refine(_) => None,
+    });
+    let first = deformations.into_iter().next()?;
+    let is_near = |shapes: &Shapes| shapes.signed_distance(place).abs() < near;
+    first.regions.iter().any(|region| is_near(&region.shapes)).then_some(&first.deform)
 }
 
 /// A length for people: as a fraction of the model's diagonal, and in its unit.

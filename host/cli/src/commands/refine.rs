@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use simod_core::deformed_positions::DeformedPositions;
 use simod_core::guard::OutputKind;
-use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals, judge};
 use simod_core::refinement::{Finer, Refined, SamplesNeed, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
@@ -24,7 +24,7 @@ use crate::report::{Report, count, length};
 /// Append more samples to a sampled model where it is selected, down to its vertices if need be
 #[derive(Args)]
 #[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space", "auto"])))]
-#[command(group(ArgGroup::new("finer").args(["error", "factor", "samples"])))]
+#[command(group(ArgGroup::new("finer").args(["factor", "samples"])))]
 pub struct Refine {
     /// The sampled model, which takes the new samples unless --into says where else they go
     #[arg(value_name = "DIR")]
@@ -40,16 +40,21 @@ pub struct Refine {
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
     /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the
-    /// shapes; either --error says how far vertices may probably be off, or --samples how many more samples
-    /// there may be
+    /// shapes; --error says how far vertices may probably be off, and --samples how many more samples there
+    /// may be
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
+    /// With --auto, ask the vertices, too: the model is read once, and where one is expected to be off by
+    /// more than --error, which the samples around it may not tell, it is refined
+    #[arg(long, requires = "auto")]
+    by_vertices: bool,
     /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its
-    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5], by at most a quarter more
-    /// samples than there are
+    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5]; only there --samples may
+    /// be given besides
     #[arg(
         long,
         value_name = "E",
+        conflicts_with = "factor",
         allow_negative_numbers = true,
         required_unless_present_any = ["factor", "samples", "auto"]
     )]
@@ -90,6 +95,12 @@ fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> 
 
 impl Refine {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        if !self.auto && self.error.is_some() && self.samples.is_some() {
+            return Err(Error::argument(
+                "both --error and --samples say how fine it shall be",
+                "leave out one of them; only with --auto both are met",
+            ));
+        }
         let how = Refinement { shapes: self.shapes()?, finer: self.finer() };
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
@@ -161,13 +172,30 @@ impl Refine {
         progress: &dyn Progress,
     ) -> Result<Refined> {
         let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::kept(sampled));
-        let field = around
-            .as_ref()
-            .zip(deformed)
-            .map(|(around, deformed)| DeformationField::of(around, deformed, Method::default()));
+        let field = around.as_ref().zip(deformed).map(|(around, deformed)| {
+            let field = DeformationField::of(around, deformed, Method::default());
+            if self.by_vertices { self.asking_vertices(field, sampled, model, progress) } else { Ok(field) }
+        });
+        let field = field.transpose()?;
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
         how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
+    }
+
+    /// A field that expects no less around samples than is expected of the vertices there, where that is more
+    /// than is allowed.
+    fn asking_vertices<'a>(
+        &self,
+        field: DeformationField<'a>,
+        sampled: &SampledModel,
+        model: &dyn Model,
+        progress: &dyn Progress,
+    ) -> Result<DeformationField<'a>> {
+        let allowed = self.error.unwrap_or(Finer::ALLOWED);
+        let mut field = field.expecting(&sampled.frame, model.info()).expecting_of_vertices();
+        let judged = judge(model, &field, sampled, allowed, None, progress)?;
+        field.learn(sampled, &judged, allowed);
+        Ok(field)
     }
 
     fn shapes(&self) -> Result<Shapes> {
@@ -231,8 +259,13 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
             target.display(),
             length(done.error, diagonal)
         ));
-    } else if done.need.is_none_or(|need| need.samples > 0) {
+    } else if done.need.is_none() {
         report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
+    } else if done.need.is_some_and(|need| need.samples > 0) {
+        report.line(
+            "what is expected there divides no cluster any further: nothing is changed. --sphere and --factor refine around a \
+             place whatever is expected there",
+        );
     }
     report.line(format!(
         "read {} bytes of {} for {} of {} cells",

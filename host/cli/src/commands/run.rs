@@ -44,7 +44,7 @@ pub struct Run {
     measure: bool,
     /// Evaluate all steps at every vertex, and transfer nothing: the reference, at its cost, which is told
     /// beforehand. Refused, naming the step, where one deforms samples only
-    #[arg(long, conflicts_with = "tolerance")]
+    #[arg(long, conflicts_with_all = ["tolerance", "method"])]
     exact: bool,
     /// Add samples, which the plugins deform as well, until no vertex is expected to be off by more: a
     /// fraction of the diagonal, or with the suffix u a length in the model's unit, as 0.002u. Where that
@@ -178,7 +178,7 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
 
 /// Reports that a tolerance is met, and what tells so.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
-    let Certificate { tolerance, expected, added, rounds, sampled_anew, truth } = certificate;
+    let Certificate { tolerance, expected, of_vertices, added, rounds, sampled_anew, truth } = certificate;
     let true_error = truth.map(|t| {
         let figures = json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max});
         with_lengths(figures, &["rms", "p999", "max"], diagonal)
@@ -187,6 +187,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         "tolerance": tolerance,
         "tolerance_length": tolerance * diagonal,
         "expected": expected,
+        "vertices": expected_figure(of_vertices, diagonal),
         "added_samples": added,
         "rounds": rounds,
         "sampled_anew": sampled_anew,
@@ -200,6 +201,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         length(*expected, diagonal),
         count(*added)
     ));
+    describe_expected(of_vertices, diagonal, report);
     if let Some(samples) = sampled_anew {
         report.line(format!("sampled anew with {} samples, as from fewer it was not met", count(*samples)));
     }
