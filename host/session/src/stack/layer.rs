@@ -174,6 +174,11 @@ struct LocalStroke {
 }
 
 impl Layer {
+    /// Whether none of it is done, so that it is the identity.
+    pub fn is_off(&self) -> bool {
+        self.share.amount == 0.0
+    }
+
     /// Checks a step, which stands at this place of the session. `before` is what it was before it was
     /// edited: what it shares with that is not checked again.
     pub fn build(
