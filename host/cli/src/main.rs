@@ -64,7 +64,7 @@ fn main() -> ExitCode {
     #[cfg(feature = "object-storage")]
     simod_storage::install();
     let arguments = Arguments::parse_from(std::env::args_os().map(without_secrets));
-    // A process that answers another one is stopped by that.
+    // A process that answers another one is stopped by that one.
     let is_worker = matches!(&arguments.command, Command::Plugin(plugin) if plugin.is_worker());
     let console = if is_worker { Console::of_worker() } else { Console::new() };
     match execute(arguments, &console) {
@@ -80,7 +80,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// An argument without what may be secret in the URL of an object, so that nothing can tell it.
+/// An argument without parts that may be secret in the URL of an object, so that no message can tell these.
 fn without_secrets(argument: OsString) -> OsString {
     let option =
         argument.to_str().filter(|text| text.starts_with("--")).and_then(|text| text.split_once('='));

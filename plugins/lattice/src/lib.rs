@@ -19,13 +19,13 @@ use simod_plugin_api::{
     ParamSet, PluginError, PluginResult, PrepareInput,
 };
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
 
 /// The plugin.
 struct LatticePlugin;
 
-/// The lattice's resolution, its functions, its box, and what is outside of it.
+/// Parameters: the lattice's resolution, its functions, its box, and the continuation outside.
 #[derive(ParamSet)]
 struct LatticeSettings {
     /// Control points along this axis of the box
@@ -132,7 +132,7 @@ impl ControlLattice {
         (0..nx * ny * nz).map(move |n| [n / nz / ny, n / nz % ny, n % nz])
     }
 
-    /// Where a control point is at rest.
+    /// Place of a control point at rest.
     fn control_point(&self, index: [usize; 3]) -> DVec3 {
         self.frame.point(std::array::from_fn(|axis| self.bases[axis].place_of(index[axis])))
     }

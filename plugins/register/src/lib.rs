@@ -1,10 +1,10 @@
 //! Non-rigid registration: the samples are deformed to another model, a mesh or a cloud, as far as both have
 //! something in common.
 //!
-//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`, with
-//! the field of `gaussian`) finds what belongs together from afar; closest points draw a graph that is as
-//! rigid as possible (`closest`, `graph`) from there to the target. All are of some of the points, and maps
-//! of space, which any sample goes through (`registration`).
+//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`,
+//! with the field of `gaussian`) finds corresponding points from afar; closest points draw a graph that is
+//! as rigid as possible (`closest`, `graph`) from there to the target. All are fitted to some of the
+//! points, and are maps of space, which apply to any sample (`registration`).
 
 mod align;
 mod closest;
@@ -24,9 +24,9 @@ use simod_plugin_api::{
     PluginError, PluginResult, PrepareInput,
 };
 
-/// Most points that are taken of the target.
+/// Greatest number of the target's points that are taken.
 const TARGET: u32 = 20_000;
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 256;
 
 /// The plugin.
@@ -97,7 +97,7 @@ enum Place {
     Model,
 }
 
-/// Where everything goes, and the samples, once and for all: 12 bytes for each.
+/// Map of space, and the images of all samples, found once and for all: 12 bytes for each.
 #[derive(Debug, Default)]
 struct State {
     map: Option<Map>,

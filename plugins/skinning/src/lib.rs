@@ -52,7 +52,7 @@ use voxels::Voxels;
 const TOGETHER: usize = 1024;
 /// Joints that a place follows where weights are found and nothing is said.
 const FOUND: usize = 4;
-/// So much of a sample's weights may be left out without a word.
+/// Part of a sample's weights that may be left out without a warning.
 const LOST: f64 = 0.01;
 /// A file's rows should be so near to the samples, as a part of the diagonal.
 const NEAR: f64 = 0.05;
@@ -60,7 +60,7 @@ const NEAR: f64 = 0.05;
 /// The plugin.
 struct Skinning;
 
-/// How places move, and which ends reach.
+/// Settings of the blend of joints, and of the ends that reach.
 #[derive(ParamSet)]
 struct Pose {
     /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints
@@ -95,7 +95,7 @@ enum Reach {
     None,
 }
 
-/// What the weights are by.
+/// Settings of the weights.
 #[derive(ParamSet)]
 struct Weights {
     /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next,
@@ -152,9 +152,9 @@ enum Source {
 
 /// The fit of a file's weights to a place.
 struct Told {
-    /// How far the nearest place is that a file has.
+    /// Distance to the nearest place that a file has.
     far: f64,
-    /// How much of its weights is left out.
+    /// Part of its weights that is left out.
     lost: f64,
 }
 
@@ -196,7 +196,7 @@ fn skeleton(input: &PrepareInput<'_>) -> PluginResult<Skeleton> {
     }
 }
 
-/// From the coordinates of a file to local ones.
+/// Map from the coordinates of a file to local ones.
 fn to_local(input: &PrepareInput<'_>, param: &str) -> PluginResult<impl Fn(DVec3) -> DVec3> {
     let frame = frame(input, param)?;
     Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
@@ -218,8 +218,8 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
     Ok(pose::Handles::new(skeleton, which))
 }
 
-/// Says how many samples lose weights, as they follow so many joints at most, and how many are far from all
-/// places of a table.
+/// Warns of samples that lose weights, as they follow a limited number of joints, and of samples that are far
+/// from all places of a table.
 ///
 /// # Errors
 /// All samples are far.
@@ -429,8 +429,8 @@ impl Handles for Skinning {
 }
 
 impl Migrate for Skinning {
-    /// In the first version weights were geodesic: sessions that say how stay with these. In the second,
-    /// chains that reach went up to the root.
+    /// Migration of settings: in the first version weights were geodesic: sessions that say how stay with
+    /// these. In the second, chains that reach went up to the root.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(3)
     }
@@ -450,7 +450,7 @@ impl Migrate for Skinning {
 impl IsIdentity for Skinning {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
         let has = |id: &str| Ok::<bool, PluginError>(input.params().file(id)?.is_some());
-        // Weights are read even if nothing moves, so that what is wrong with them is told.
+        // Weights are read even if nothing moves, so that the user is told of errors in them.
         let is_still = !has("pose")? && !has("weights")?;
         Ok(is_still && input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
     }

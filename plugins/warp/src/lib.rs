@@ -14,13 +14,13 @@ use simod_plugin_api::{
     PluginError, PluginResult, PrepareInput,
 };
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
 
 /// The plugin.
 struct WarpPlugin;
 
-/// The kind of warp, and where it acts.
+/// Parameters: the kind of warp, and its place.
 #[derive(ParamSet)]
 struct WarpSettings {
     /// What happens along the axis
@@ -78,7 +78,7 @@ impl Deformer for WarpPlugin {
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
-        // Nothing to prepare, but senseless parameters are better told early.
+        // There is nothing to prepare, but senseless parameters are better told early.
         warp(input.params(), &input.bounds).map(drop)
     }
 
@@ -148,7 +148,8 @@ mod tests {
 
     const BOUNDS: Bounds = Bounds { min: [-1.0, -2.0, -1.0], max: [1.0, 2.0, 1.0] };
 
-    /// How far samples and space differ, and whether all stays where it is; `amount` 0 should do that.
+    /// Difference between the images of samples and of space, and whether all stays in its place; `amount`
+    /// 0 should do that.
     fn run(operation: &str, amount: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
         let (centre, axis, direction) = ([0.1, 0.2, 0.0], [0.0, 3.0, 0.0], [1.0, 1.0, 0.0]);
         let (angle, factor, slope) = ([75.0 * amount], [1.0 - 0.7 * amount], [amount]);

@@ -1,4 +1,5 @@
-//! `simod bind`: what every reconstruction of a model finds out anew, once for all.
+//! `simod bind`: the part of every reconstruction of a model that depends on no deformation, done once for
+//! all.
 
 use std::path::PathBuf;
 
@@ -28,9 +29,9 @@ pub struct Bind {
 
 impl Bind {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        // As long as it is bound, its samples stay the same.
+        // The samples stay the same as long as the model is being bound.
         let _claim = match Claim::folder(&self.sampled) {
-            // Where nothing can be written beside the folder, nobody replaces it.
+            // A folder beside which nothing can be written is replaced by nobody, so no claim is needed.
             Err(e) if e.kind() == ErrorKind::Io => None,
             claim => Some(claim?),
         };

@@ -75,7 +75,7 @@ impl Compare {
     }
 }
 
-/// What a method took, or why it was not done.
+/// Reports the times of a method, or why it was not done.
 pub fn tell_method(method: &MethodRecord, report: &mut Report) {
     if let Some(failure) = &method.error {
         report.warn(format!("{} failed: {} ({})", method.name, failure.what, failure.hint));
@@ -94,7 +94,7 @@ pub fn tell_method(method: &MethodRecord, report: &mut Report) {
     report.line(format!("{}: {done}", method.name));
 }
 
-/// What came of all methods, and where it is.
+/// Reports the outcome of all methods, and the place of the page.
 pub fn tell_comparison(comparison: &Comparison, output: &Path, report: &mut Report) {
     report.figure("vertices", comparison.model.vertices);
     report.figure("done", comparison.done().count());

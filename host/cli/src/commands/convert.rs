@@ -68,7 +68,7 @@ impl Convert {
         }
     }
 
-    /// Each tile to a file of its own.
+    /// Converts each tile to a file of its own.
     fn tiles(&self, named: &ModelName, to: &str, report: &mut Report) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads_all(named.files());
@@ -118,7 +118,7 @@ impl Convert {
         Ok(())
     }
 
-    /// Says what --step and --origin are for, where they are given in vain.
+    /// Says that --step and --origin are for other formats, where they are given in vain.
     fn tell_of_floats(&self, target: &dyn Display, progress: &dyn Progress) {
         if self.step.is_some() || self.origin.is_some() {
             progress
@@ -141,7 +141,7 @@ impl Convert {
     }
 }
 
-/// Says what a converted model lacks, and what its positions are rounded to.
+/// Says what a converted model lacks, and to what its positions are rounded.
 pub fn tell_losses(losses: &[String], rounding: Option<Rounding>, report: &mut Report) {
     report.figure("lost", json!(losses));
     if let Some(rounding) = rounding {

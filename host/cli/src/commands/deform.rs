@@ -91,7 +91,7 @@ impl Deform {
         Ok(())
     }
 
-    /// Where the refined model goes, if the session refines.
+    /// Folder for the refined model, if the session refines.
     fn refined_folder(&self, session: &SessionFile) -> Result<Option<&Path>> {
         let mut refinements = session.steps.iter().filter(|step| step.enabled && step.refines());
         let Some(first) = refinements.next() else { return Ok(None) };

@@ -93,7 +93,7 @@ impl Demo {
             crop: Crop::default(),
         };
         let samples = &sampled.samples;
-        // Faces of so many vertices are smaller than what a picture resolves.
+        // The faces of so many vertices are smaller than a picture's pixels.
         let how = (&Paint::Clay, Drawn::Points);
         let pictures = [
             picture::of_model(before.as_ref(), &sampled.bounds, &view, how, progress)?,

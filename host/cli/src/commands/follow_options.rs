@@ -1,4 +1,5 @@
-//! What turns with the surface: the same for all commands that write deformed models.
+//! The options on attributes that turn with the surface: the same for all commands that write deformed
+//! models.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +23,7 @@ pub struct FollowOptions {
     max_anisotropy: Option<f64>,
 }
 
-/// What becomes of the opacity of splats.
+/// Treatment of the opacity of splats.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum OpacityName {
     /// It stays, as where splats are stretched with the surface they cover as much of it
@@ -33,7 +34,8 @@ enum OpacityName {
 }
 
 impl FollowOptions {
-    /// What follows, where a session declares what the command line does not.
+    /// Attributes that follow the surface; the session's declaration holds where the command line gives
+    /// none.
     pub fn follow(&self, declared: &BTreeMap<String, TensorKind>) -> Follow {
         let opacity = match self.opacity {
             OpacityName::Keep => Opacity::Keep,

@@ -71,7 +71,7 @@ enum ShapeName {
     Cactus,
 }
 
-/// How numbers are stored.
+/// Encoding of the numbers in the file.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum EncodingName {
     Ascii,

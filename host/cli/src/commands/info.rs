@@ -1,4 +1,4 @@
-//! `simod info`: what a model or a sampled model is.
+//! `simod info`: the content of a model or a sampled model.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -98,7 +98,7 @@ impl Info {
             ));
         }
         tell_bounds(&sampled.bounds, report);
-        // As far as the model is there, and tells without being gone over.
+        // Only a model whose files are there and tell their content without a whole reading is described.
         if source.files().iter().all(|path| tells_when_opened(path))
             && let Ok(model) = sampled.open_source(None, report.progress())
         {
@@ -141,7 +141,7 @@ fn scalar_name(scalar: Scalar) -> &'static str {
     }
 }
 
-/// Tells what a model's vertices have, and what its file says besides.
+/// Tells what a model's vertices have, and what else its file holds.
 fn tell_content(model: &dyn Model, report: &mut Report) {
     let info = model.info();
     let normals = if info.has_normals { "with" } else { "without" };
@@ -162,7 +162,7 @@ fn tell_content(model: &dyn Model, report: &mut Report) {
     }
 }
 
-/// Tells what a model's file says of itself, and where on earth it is.
+/// Tells what a model's file says about itself, and its place on earth.
 fn tell_details(model: &dyn Model, report: &mut Report) {
     let details = model.details();
     if !details.is_empty() {
@@ -183,7 +183,7 @@ fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
     };
     let diagonal = sampled.bounds.diagonal();
     let cell = sampled.cell_size / diagonal;
-    // A model may be at one place.
+    // All vertices of a model may be at one place.
     let size = if diagonal > 0.0 {
         length(cell, diagonal)
     } else {

@@ -1,4 +1,4 @@
-//! What a command's outputs may replace: the same for all commands.
+//! The option on files that a command's outputs may replace: the same for all commands.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
-    /// As if the option was given, or was not.
+    /// The options as if `--force` was given, or was not.
     pub fn forcing(force: bool) -> Self {
         Self { force }
     }

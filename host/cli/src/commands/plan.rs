@@ -98,7 +98,7 @@ impl Plan {
     }
 }
 
-/// Tells of which units a plan is.
+/// Reports the units of a plan.
 fn tell_plan(plan: &Units, folder: &Path, report: &mut Report) {
     if let Some(why) = plan.undivided() {
         report.warn(format!("one unit writes the model: {why}"));

@@ -58,7 +58,7 @@ fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
     simod_check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
 }
 
-/// What became of a rule.
+/// Result of a rule.
 struct RuleResult {
     rule: &'static Rule,
     finding: Finding,
@@ -116,7 +116,7 @@ impl Check {
             plugins.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
             return Ok(plugin.path().to_owned());
         }
-        // A pipe would be waited for.
+        // A pipe would be waited for, so it is refused here.
         input::open(path)?;
         // The dynamic linker would look for a bare name elsewhere.
         path.canonicalize().map_err(|e| Error::io("read", path, &e))
@@ -193,13 +193,14 @@ impl Check {
         })
     }
 
-    /// What checks one rule again.
+    /// Command line that checks one rule again.
     fn again(&self, file: &Path, rule: &Rule) -> String {
         format!("simod plugin check {} --rule {} --seed {}", file.display(), rule.id, self.seed)
     }
 }
 
-/// What a process says about its rule, where it says anything sensible. A plugin may have printed before.
+/// Finding that a process printed about its rule, if its last line is one. The plugin may have printed
+/// before.
 fn answer(rule: &Rule, output: &str) -> Option<Finding> {
     let value: Value = serde_json::from_str(output.lines().last()?).ok()?;
     if value.get("rule")? != rule.id {

@@ -1,4 +1,4 @@
-//! How commands look for plugins and run them.
+//! Options on the look-up and the running of plugins.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -41,7 +41,7 @@ enum Isolate {
     Never,
 }
 
-/// What is the default on the command line.
+/// The values that the command line has by default.
 impl Default for PluginArgs {
     fn default() -> Self {
         Self {
@@ -59,7 +59,7 @@ impl PluginArgs {
         &self.r#use
     }
 
-    /// These options, with libraries to use where none were chosen.
+    /// The same options, with libraries to use where none were chosen.
     pub fn or_chosen(mut self, files: &[PathBuf]) -> Self {
         if self.r#use.is_empty() {
             self.r#use = files.to_owned();
@@ -67,15 +67,15 @@ impl PluginArgs {
         self
     }
 
-    /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what
-    /// anybody may change.
+    /// Finds the plugins in the standard folders, and reports those that cannot be used, that take long to
+    /// load, and that anybody may change.
     pub fn discover(self, report: &mut Report) -> Result<PluginRegistry> {
         let isolation = match self.isolate {
             Isolate::Others => Isolation::Others,
             Isolate::Always => Isolation::Always,
             Isolate::Never => Isolation::Never,
         };
-        // This program once more, however it is called now.
+        // Workers are this program once more, whatever its present name is.
         let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
         let (silence, memory) = (self.plugin_patience, self.plugin_memory);
         let worker = WorkerOptions { silence, memory, ..WorkerOptions::for_program(&program) };

@@ -24,14 +24,14 @@ use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
 
-/// Rounding that is more than this part of a tolerance leaves samples too little to do.
+/// Largest rounding, as a part of the tolerance, at which more samples still help.
 const MOST_ROUNDING: f64 = 0.9;
 
-/// A refinement that is advised asks for so much of the tolerance, as density changes around what is refined.
+/// Part of the tolerance that an advised refinement asks for, as density changes around refined places.
 const ADVISED: f64 = 0.5;
 
-/// It adds at most so many samples for each one that there is, or [`LEAST_MORE`]: what is expected of those
-/// is known then.
+/// Number of samples that it adds at most for each one that there is, or [`LEAST_MORE`] in all: the expected
+/// errors of these are known then.
 const TIMES_MORE: u64 = 3;
 const LEAST_MORE: u64 = 256;
 
@@ -88,7 +88,7 @@ pub struct Reconstruct {
     overwrite: Overwrite,
 }
 
-/// What becomes of normals.
+/// Treatment of the model's normals.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum NormalsName {
     /// They keep their bytes
@@ -110,7 +110,7 @@ impl From<NormalsName> for Normals {
     }
 }
 
-/// What becomes of the offset of positions.
+/// Treatment of the offset of positions that are stored as integers.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum OffsetName {
     /// It stays; what moves beyond the integers is an error
@@ -181,7 +181,7 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// Nothing that is read is written over.
+    /// Checks that nothing that is read is written over.
     fn check_paths(&self, paths: &[VersionPaths], sampled: &SampledModel) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
@@ -197,7 +197,8 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// The model, as it is to be written: with what turns, the offset and the format that were asked for.
+    /// Opens the model as it is to be written: with the attributes that turn, the offset and the format
+    /// that were asked for.
     fn open_model(
         &self,
         sampled: &SampledModel,
@@ -224,7 +225,7 @@ impl Reconstruct {
         Ok(model)
     }
 
-    /// What was written, and what there is to know of it.
+    /// Reports the outputs, and their figures.
     fn tell(
         &self,
         done: &Reconstructed,
@@ -257,7 +258,7 @@ impl Reconstruct {
 }
 
 impl Reconstruct {
-    /// The tolerance as a fraction of the diagonal, or an error where nothing can tell that it is met.
+    /// Returns the tolerance as a fraction of the diagonal, or an error where nothing tells that it is met.
     fn checked_tolerance(&self, sampled: &SampledModel, model: &dyn Model) -> Result<Option<f64>> {
         let Some(tolerance) = self.tolerance else { return Ok(None) };
         if self.method != MethodName::BlendedJets {
@@ -271,8 +272,9 @@ impl Reconstruct {
         Ok(Some(tolerance))
     }
 
-    /// An error where more is expected around any sample of a version, before anything is streamed; what is
-    /// expected at most. Where an earlier run may have written some of the vertices, all are judged, too.
+    /// Returns an error where more than the tolerance is expected around any sample of a version, before
+    /// anything is streamed; otherwise the greatest expected error. Where an earlier run may have written
+    /// some of the vertices, all are judged, too.
     fn check_samples(
         &self,
         tolerance: f64,
@@ -305,8 +307,7 @@ impl Reconstruct {
         Ok(most)
     }
 
-    /// What there is to do where vertices are expected to be off by more than the tolerance, if that is what
-    /// an error is of.
+    /// Error with advice, where it is that vertices are expected to be off by more than the tolerance.
     fn advising(
         &self,
         error: Error,
@@ -321,8 +322,8 @@ impl Reconstruct {
         self.refusal((tolerance, None), sampled, &paths[*version], beyond)
     }
 
-    /// The error where vertices of a version are expected to be off by more than the tolerance, as samples
-    /// tell, which need about so many more, or as single vertices do.
+    /// Error where vertices of a version are expected to be off by more than the tolerance, as samples tell,
+    /// which need about so many more, or as single vertices do.
     fn refusal(
         &self,
         (tolerance, needed): (f64, Option<u64>),
@@ -367,7 +368,7 @@ impl Reconstruct {
         Error::argument(what, hint)
     }
 
-    /// The command that adds samples, so many or to come below an error.
+    /// Command that adds samples, with these options.
     fn refining(&self, paths: &VersionPaths, how: &str) -> String {
         let model =
             self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
@@ -378,7 +379,8 @@ impl Reconstruct {
         )
     }
 
-    /// Says how far the versions are expected to be off, and warns where that is more than will be accepted.
+    /// Reports the expected errors of the versions, and warns where these are larger than a user will
+    /// accept.
     fn describe_expected(
         &self,
         paths: &[VersionPaths],
@@ -413,11 +415,11 @@ impl Reconstruct {
     }
 }
 
-/// A positive number to three digits that is no larger: who meets it meets the number.
+/// Positive number of three digits that is no larger: an error that meets it meets `x`.
 fn rounded_down(x: f64) -> f64 {
     let digits = |x: f64| format!("{x:.2e}").parse().unwrap_or(x);
     let nearest = digits(x);
-    // Three quarters of the last digit less is rounded to the one below.
+    // The number less three quarters of its last digit is rounded to the one below.
     if nearest <= x { nearest } else { digits(x - 0.0075 * 10f64.powf(x.log10().floor())) }
 }
 
@@ -428,14 +430,14 @@ fn quoted(path: &Path) -> String {
     shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }
 
-/// Says what turns with the surface besides normals and tangents.
+/// Reports the attributes that turn with the surface besides normals and tangents.
 pub fn tell_following(model: &dyn Model, report: &mut Report) {
     let Some(following) = model.following() else { return };
     report.line(format!("turning with the surface: {}", following.descriptions().join("; ")));
     report.figure("following", following.descriptions().to_vec());
 }
 
-/// How far vertices are expected to be off, for `--json`.
+/// Expected error of the vertices, for `--json`.
 pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     let mut figures = json!(expected);
     if let Some(beyond) = figures.get_mut("beyond").filter(|beyond| beyond.is_object()) {
@@ -444,7 +446,7 @@ pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     with_lengths(figures, &["rms", "p999", "worst"], diagonal)
 }
 
-/// Reports how far vertices are expected to be off.
+/// Reports the expected error of the vertices.
 pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
     let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
     report.line(format!(
@@ -454,7 +456,7 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
     ));
 }
 
-/// Warns where more is expected than a user will accept.
+/// Warns where the expected error is larger than a user will accept.
 pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str, report: &mut Report) {
     let ErrorExcess { worst, place, samples, .. } = beyond;
     report.warn(format!(
@@ -469,7 +471,7 @@ pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str,
     ));
 }
 
-/// Says where the versions fold the surface.
+/// Reports the places where the versions fold the surface.
 fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
     let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
     report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());

@@ -104,7 +104,7 @@ impl Refine {
         let how = Refinement { shapes: self.shapes()?, finer: self.finer() };
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
-        // From here on nobody else refines it, or what this one does would be lost.
+        // The claim on the target keeps others from refining it, by which this refinement would be lost.
         let begun = SampledModel::begin(target)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let deformed = self
@@ -117,7 +117,8 @@ impl Refine {
         let progress = report.progress();
         sampled.hold_cells(sampled.cells_or_resample(&self.sampled, self.model.as_deref(), progress)?);
         let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_ref(), progress)?;
-        // First what belongs to the refined model: it would be of no use without, but harms nobody.
+        // The deformed samples of the refined model come first: they would be of no use without it, but do
+        // no harm.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
             progress.begin("deforming the new samples", 0);
             write_deformed(&sampled, done.sampled.as_ref().unwrap_or(&sampled), from, deformed, to)?;
@@ -136,13 +137,13 @@ impl Refine {
         Ok(())
     }
 
-    /// Nothing is replaced that is read.
+    /// Checks that nothing that is read is replaced.
     fn guard(&self, sampled: &SampledModel, model: &dyn Model) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads_all([model.path()].into_iter().chain(model.other_files()));
         guard.reads_all(sampled.source.files());
         if let Some(into) = &self.into {
-            // All else that is read may be replaced in place.
+            // All other files that are read may be replaced in place.
             guard.reads(&self.sampled);
             guard.replaces_folder(into)?;
         }
@@ -162,7 +163,8 @@ impl Refine {
         }
     }
 
-    /// The shapes are meant at rest; what the deformation needs is told by the deformed samples.
+    /// Refines the samples. The shapes are meant at rest; the deformed samples tell where the deformation
+    /// needs more.
     fn refined(
         &self,
         how: &Refinement,
@@ -182,8 +184,8 @@ impl Refine {
         how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
     }
 
-    /// A field that expects no less around samples than is expected of the vertices there, where that is more
-    /// than is allowed.
+    /// Field whose expected errors around samples are no less than those of the vertices there, where these
+    /// are more than is allowed.
     fn asking_vertices<'a>(
         &self,
         field: DeformationField<'a>,
@@ -233,7 +235,7 @@ fn write_deformed(
     refined.write_more_deformed(to, from, &more, &normals)
 }
 
-/// Tells what was read, and what came of it.
+/// Reports the vertices that were read, and the samples that were added.
 fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &Refined, target: &Path) {
     let samples = done.sampled.as_ref().unwrap_or(sampled).samples.len();
     let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
@@ -276,7 +278,7 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
     ));
 }
 
-/// Tells how far vertices are expected to be off.
+/// Reports the expected error of the vertices.
 fn tell_need(report: &mut Report, need: &SamplesNeed, lengths: &mut Value, diagonal: f64) {
     for (name, fraction) in [("expected", need.expected), ("allowed", need.allowed)] {
         let name = format!("{name}_transfer_error");

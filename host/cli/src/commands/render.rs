@@ -103,7 +103,7 @@ fn parse_part(text: &str) -> std::result::Result<f64, String> {
 
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        // What is in the way is told before the model is read.
+        // Obstacles to the output are reported before the model is read.
         let mut guard = self.overwrite.guard();
         guard.reads(&self.path);
         match self.turntable {
@@ -134,14 +134,14 @@ impl Render {
         Ok(())
     }
 
-    /// From where it is seen.
+    /// View of the picture.
     fn view(&self, bounds: Bounds) -> PictureView {
         let crop = Crop { around: self.target, part: self.crop };
         let Self { yaw, pitch, size, up, .. } = *self;
         PictureView { bounds, yaw, pitch, size, up: up.into(), crop }
     }
 
-    /// The samples of a folder, from one side or from all around.
+    /// Draws the samples of a folder, from one side or from all around.
     fn draw_samples(&self, take: &mut dyn FnMut(&Image) -> Result<()>, report: &mut Report) -> Result<()> {
         let sampled = SampledModel::load(&self.path)?;
         let (samples, view) = (&sampled.samples, self.view(sampled.bounds));
@@ -192,7 +192,7 @@ impl Render {
         }
     }
 
-    /// What samples are coloured by, and their colours, unless all are alike.
+    /// Attribute by which samples are coloured, and their colours, unless all are alike.
     fn of_samples(
         &self,
         sampled: &SampledModel,
@@ -216,7 +216,7 @@ impl Render {
     }
 }
 
-/// Says what a picture is coloured by, and what the ends of its legend stand for.
+/// Reports by what a picture is coloured, and the numbers at the ends of its legend.
 fn tell_colors(paint: &Paint, is_colored: bool, report: &mut Report) {
     let (name, range) = match paint.legend() {
         Some((name, range)) => (name, Some(range)),

@@ -114,7 +114,7 @@ impl Run {
     }
 }
 
-/// Tells what a session came to.
+/// Reports the result of a session.
 fn tell_run(run: &Pipeline, measure: bool, progress: &dyn Progress, report: &mut Report) -> Result<()> {
     describe(run, report);
     tell_cache(run.deformed.sampled.cache(), report);
@@ -159,14 +159,14 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
         count(samples as u64),
         rate(vertices, run.seconds)
     ));
-    // Here, before anything is measured or drawn, which is not part of an edit.
+    // The peak is taken before anything is measured or drawn, as that is not part of an edit.
     if let Some(peak) = report.peak_memory() {
         report.figure("run_peak_memory_bytes", peak);
         report.line(format!("peak memory of the edit {} MB", peak.div_ceil(1 << 20)));
     }
 }
 
-/// Reports what every vertex' evaluation was expected to take.
+/// Reports the expected cost of evaluating every vertex.
 fn describe_cost(cost: &ExactCost, report: &mut Report) {
     report.figure("exact", json!({"evaluations": cost.evaluations, "expected_seconds": cost.seconds}));
     report.line(format!(
@@ -176,7 +176,7 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
     ));
 }
 
-/// Reports that a tolerance is met, and what tells so.
+/// Reports that a tolerance is met, and by which figures.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
     let Certificate { tolerance, expected, of_vertices, added, rounds, sampled_anew, truth } = certificate;
     let true_error = truth.map(|t| {
@@ -215,7 +215,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
     });
 }
 
-/// Reports how far a run is from the exact deformation.
+/// Reports the distances of a run from the exact deformation.
 pub fn describe_error(error: &TransferError, diagonal: f64, report: &mut Report) {
     report.line(format!("transfer error: {}", errors([error.rms, error.p999, error.max], diagonal)));
     report.figure(

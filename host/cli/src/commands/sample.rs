@@ -73,7 +73,7 @@ pub struct SamplingArguments {
     _sheets: bool,
 }
 
-/// How clusters are split.
+/// Kind of tree by which clusters are split.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum TreeKind {
     /// Octree, then quadtree (VS-Tree)
@@ -83,7 +83,7 @@ enum TreeKind {
     Octree,
 }
 
-/// What samples are spread by.
+/// Measure by which samples are spread.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum SpreadBy {
     /// Error of clusters
@@ -95,7 +95,7 @@ enum SpreadBy {
     Vertices,
 }
 
-/// What places samples.
+/// Rule by which samples are placed.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum PlacementRule {
     /// Faces where normals do not tell where the surface is
@@ -153,7 +153,7 @@ impl SamplingArguments {
         }
     }
 
-    /// What a session's table of the sampling would say.
+    /// Table of the sampling as a session would have it.
     fn table(&self) -> SamplingTable {
         SamplingTable {
             samples: self.samples,
@@ -214,7 +214,7 @@ impl Sample {
     }
 }
 
-/// The error that was asked for, for people, if one was; and as figures.
+/// Error that was asked for, in words, if one was; the figures go into the report.
 pub(super) fn asked_error(sampled: &SampledModel, report: &mut Report) -> Option<String> {
     let Target::Error(error) = sampled.sampling.target else { return None };
     let diagonal = sampled.bounds.diagonal();
@@ -223,7 +223,7 @@ pub(super) fn asked_error(sampled: &SampledModel, report: &mut Report) -> Option
     Some(format!("an error of {error} of the diagonal ({:.1e} in the model's unit)", error * diagonal))
 }
 
-/// Says which of the model's faces gave no triangles of the samples.
+/// Reports the model's faces that gave no triangles of the samples.
 fn warn_faces(sampled: &SampledModel, report: &mut Report) {
     if sampled.faces_without_vertex > 0 {
         report.warn(format!(

@@ -1,4 +1,4 @@
-//! When in a sequence the steps of a session are done.
+//! Options on the time in a sequence for which the steps of a session are done.
 
 use clap::Args;
 use simod_model::{Error, Result};
@@ -17,7 +17,7 @@ pub struct TimeOptions {
 }
 
 impl TimeOptions {
-    /// A session's time, as far as nothing else was asked for.
+    /// Time of the session, replaced by the options as far as they are given.
     pub fn over(&self, session: SessionTime) -> Result<SessionTime> {
         let asked = self.frame.is_some() || self.time.is_some();
         let time = SessionTime {

@@ -14,18 +14,18 @@ use super::transfer_error::TransferError;
 use super::{DeformationField, ExpectedError, Moved, VertexDiagnostics, carry};
 use crate::sampled_model::SampledModel;
 
-/// Vertices that are carried over at a time, in a pass that writes nothing: so many that all threads have
-/// work.
+/// Number of vertices that are carried over at a time, in a pass that writes nothing: so many that all
+/// threads have work.
 const BATCH: usize = 1 << 18;
 
-/// Lengths that samples are told are rounded to single precision, so that a vertex which is off by a little
-/// more than is accepted is told by this part of it.
+/// Part of the accepted error from which samples tell: their lengths are rounded to single precision, and a
+/// vertex may be off by hardly more than is accepted.
 const ROUNDED: f64 = 0.9999;
 
-/// A cluster may reach this many times the distance between samples from its sample.
+/// Largest distance of a cluster's vertices from its sample, as a multiple of the distance between samples.
 const CLUSTER: f32 = 2.0;
 
-/// The source of an error of [`reconstruct`](super::reconstruct): vertices of a version are expected to be off
+/// Source of an error of [`reconstruct`](super::reconstruct): vertices of a version are expected to be off
 /// by more than the tolerance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeyondTolerance {
@@ -33,7 +33,7 @@ pub struct BeyondTolerance {
     pub version: usize,
     /// Number of these vertices.
     pub vertices: u64,
-    /// The samples around them.
+    /// Excess of the samples around them.
     pub beyond: ErrorExcess,
 }
 
@@ -45,7 +45,7 @@ impl fmt::Display for BeyondTolerance {
 
 impl std::error::Error for BeyondTolerance {}
 
-/// How far vertices that are off by more than a tolerance are off at most, around each sample.
+/// Largest error, around each sample, of the vertices that are off by more than a tolerance.
 ///
 /// Memory: 4 bytes per sample.
 pub(super) struct ExcessAround {
@@ -83,30 +83,32 @@ impl ExcessAround {
     }
 }
 
-/// The exact map, as far as it is asked.
+/// Exact map, with the number of vertices that are compared with it.
 #[derive(Clone, Copy)]
 pub struct ExactSample<'a> {
-    /// About so many vertices, chosen at random and the same each time, are compared with it.
+    /// Number of vertices, about, which are chosen at random, the same each time.
     pub most: u64,
-    /// Replaces points, in the model's coordinates, by their images.
+    /// Map that replaces points, in the model's coordinates, by their images.
     pub map: &'a dyn Fn(&mut [DVec3]) -> Result<()>,
 }
 
-/// What is known of all vertices of a model that is not written.
+/// Errors of all vertices of a model that is not written.
 pub struct JudgedVertices {
-    /// How far they are expected to be off, or are where the exact map was asked.
+    /// Expected errors, or the true ones where the exact map was asked.
     pub expected: ExpectedError,
     /// Number of vertices that are off by more than is accepted.
     pub beyond: u64,
-    /// The true error of those that were chosen at random, if the map is known;
+    /// True error of those that were chosen at random, if the map is known;
     /// [`jump`](TransferError::jump) is 0.
     pub truth: Option<TransferError>,
+    /// Largest error beyond that around each sample, local units.
     around: Vec<f32>,
 }
 
-/// Judges what `field`, which is [expecting of vertices](DeformationField::expecting_of_vertices), makes of
-/// each vertex, without writing anything; `accepted` is a fraction of the diagonal. Where the exact map is
-/// known, it is asked at some vertices, and at those that are expected to be off by more.
+/// Judges each vertex as `field`, which is [expecting of
+/// vertices](DeformationField::expecting_of_vertices), carries it over, without writing anything; `accepted`
+/// is a fraction of the diagonal. Where the exact map is known, it is asked at some vertices, and at those
+/// that are expected to be off by more.
 ///
 /// Memory: a chunk of the model, 120 bytes for each of 262 144 vertices, 4 bytes per sample.
 ///
@@ -149,7 +151,7 @@ pub fn judge(
     Ok(judging.finish())
 }
 
-/// A pass over the vertices of a model.
+/// Pass over the vertices of a model.
 struct Judging<'a> {
     model: &'a dyn Model,
     field: &'a DeformationField<'a>,
@@ -230,8 +232,8 @@ impl Judging<'_> {
 }
 
 impl DeformationField<'_> {
-    /// Expects no less, around the samples that have a say at vertices that are off by more than is
-    /// `accepted`, than these are off; tells where that is, if there are such vertices.
+    /// Raises the expected errors, around the samples that have a say at vertices that are off by more than
+    /// is `accepted`, to those of these vertices; returns the excess, if there are such vertices.
     pub fn learn(
         &mut self,
         of: &SampledModel,
@@ -242,8 +244,8 @@ impl DeformationField<'_> {
         Some(ErrorExcess { worst: judged.expected.worst, ..beyond })
     }
 
-    /// Expects no less around each sample (local units), and tells where more than is accepted (a fraction of
-    /// the diagonal) is expected then.
+    /// Raises the expected error around each sample (local units), and returns the excess over what is
+    /// accepted (a fraction of the diagonal).
     pub(super) fn learn_excess(
         &mut self,
         of: &SampledModel,

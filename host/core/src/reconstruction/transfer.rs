@@ -1,4 +1,4 @@
-//! What becomes of a model's chunks while it is streamed (paper §5, "Streaming Deformation Reconstruction"):
+//! Deformation of a model's chunks while it is streamed (paper §5, "Streaming Deformation Reconstruction"):
 //! several of them at a time, on as many threads.
 
 use std::collections::BTreeMap;
@@ -25,8 +25,8 @@ const SCATTERED_AT_ONCE: u64 = 3;
 /// … and all threads and versions together, unless each has one: about 8 MB each.
 const SCATTERED_PIECES: u64 = 16;
 
-/// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space,
-/// so many that several are near to each other among them.
+/// Number of pieces of the model that a thread takes at a time: one, or, where vertices come in no order in
+/// space, so many that several are near to each other among them.
 pub(super) fn pieces_at_once(sampled: &SampledModel, versions: usize) -> u64 {
     if !sampled.source.comes_in_no_order() {
         return 1;
@@ -41,7 +41,7 @@ pub(super) struct Transfer<'a> {
     pub(super) frame: &'a Frame,
     /// The hash of the bytes of all vertices, or of a part.
     pub(super) hash: Mutex<HashedModel>,
-    /// What homes are read from, if they were kept, and its file.
+    /// Binding from which homes are read, if they were kept, and its file.
     pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
     /// The homes that were read of chunks in flight, by their first vertices: 4 bytes for each vertex.
     pub(super) homes: Mutex<BTreeMap<u64, Vec<u32>>>,
@@ -49,7 +49,7 @@ pub(super) struct Transfer<'a> {
     pub(super) progress: &'a dyn Progress,
 }
 
-/// What is hashed of the model that is read.
+/// Hash of the vertices of the model that are read.
 pub(super) enum HashedModel {
     All(VertexHash),
     Part(HashedPart),
@@ -71,7 +71,7 @@ impl Edit for Transfer<'_> {
             Ok(homes) if chunk.is_edited => drop(locked(&self.homes).insert(chunk.first, homes)),
             Ok(_) => {}
             Err(why) => {
-                // What was found by it so far is what would have been found without.
+                // Homes that the binding gave so far are those that would have been found without it.
                 self.progress.note(&format!("{} is not used from here on: {why}", path.display()));
                 *binding = None;
             }
@@ -131,19 +131,19 @@ impl Transfer<'_> {
 /// where they are judged.
 pub(super) struct Surveys<'a> {
     versions: Vec<Option<Mutex<Survey<'a>>>>,
-    /// Where vertices are judged: how far they may be off, as a fraction of the diagonal, and by how much
-    /// those of each version are off that are by more.
+    /// Tolerance, a fraction of the diagonal, and the errors of each version's vertices that are beyond it;
+    /// `None` where vertices are not judged.
     judging: Option<(f64, Vec<ExcessAround>)>,
     /// One over the model's diagonal at rest.
     inverse_diagonal: f64,
-    /// The deformed positions of chunks that are not written yet, by their first vertices, and what becomes
-    /// of the surface there.
+    /// Deformed positions of chunks that are not written yet, by their first vertices, and the diagnostics of
+    /// the surface there.
     waiting: Mutex<BTreeMap<u64, Vec<SurveyedChunk>>>,
 }
 
 type SurveyedChunk = (Vec<DVec3>, Vec<VertexDiagnostics>);
 
-/// The vertices of a version up to here.
+/// Diagnostics of a version's vertices up to here.
 struct Survey<'a> {
     file: Option<&'a mut DiagnosticsFile>,
     expected: ErrorSums,
@@ -151,17 +151,17 @@ struct Survey<'a> {
     beyond: u64,
 }
 
-/// What is known of all vertices of a version.
+/// Expected errors of all vertices of a version.
 pub(super) struct SurveyedVertices {
     pub expected: ExpectedError,
     /// Number of those that are expected to be off by more than is accepted.
     pub beyond: u64,
-    /// How far these are off at most around each sample, local units; empty where they are not judged.
+    /// Largest of their errors around each sample, local units; empty where they are not judged.
     pub around: Vec<f32>,
 }
 
 impl<'a> Surveys<'a> {
-    /// The surveys of as many versions of a model with this diagonal at rest; where there is a tolerance, a
+    /// Surveys of as many versions of a model with this diagonal at rest; where there is a tolerance, a
     /// fraction of it, vertices are judged, by so many samples.
     pub(super) fn new(
         files: impl IntoIterator<Item = Option<&'a mut DiagnosticsFile>>,
@@ -179,7 +179,8 @@ impl<'a> Surveys<'a> {
         Self { versions, judging, inverse_diagonal, waiting: Mutex::default() }
     }
 
-    /// For each version, what is to be filled in for so many vertices.
+    /// Lists for the diagnostics of `vertices` vertices, to be filled in, one for each version; empty for
+    /// versions whose diagnostics are not written.
     pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
         let count = |survey: &Option<_>| if survey.is_some() { vertices } else { 0 };
         self.versions.iter().map(|survey| vec![VertexDiagnostics::UNKNOWN; count(survey)]).collect()
@@ -209,7 +210,7 @@ impl<'a> Surveys<'a> {
         self.judging.as_ref().is_some_and(|(accepted, _)| expected > *accepted)
     }
 
-    /// Takes what was found out of a chunk.
+    /// Keeps the findings in a chunk.
     pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
         if self.versions.iter().all(Option::is_none) {
             return;
@@ -223,7 +224,7 @@ impl<'a> Surveys<'a> {
         locked(&self.waiting).insert(first, surveyed.collect());
     }
 
-    /// Writes it, and sums it up.
+    /// Writes the diagnostics of a chunk, and sums them up.
     pub(super) fn write(&self, first: u64) -> Result<()> {
         let surveyed = locked(&self.waiting).remove(&first).unwrap_or_default();
         for (survey, (positions, figures)) in self.versions.iter().zip(&surveyed) {
@@ -240,7 +241,7 @@ impl<'a> Surveys<'a> {
         Ok(())
     }
 
-    /// What is known of the vertices of each version, all of which are written.
+    /// Sums for the vertices of each version, all of which are written.
     pub(super) fn finish(self) -> Vec<Option<SurveyedVertices>> {
         let around = self.judging.map_or_else(Vec::new, |(_, around)| around);
         let around = around.into_iter().map(ExcessAround::into_lengths).chain(iter::repeat(Vec::new()));
@@ -253,7 +254,7 @@ impl<'a> Surveys<'a> {
     }
 }
 
-/// What a mutex holds, whatever became of the thread that held it last.
+/// Content of a mutex, whatever became of the thread that held it last.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! How far a reconstruction is from the exact deformation of every vertex.
+//! Transfer error: the distance of a reconstruction from the exact deformation, over all vertices.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -102,7 +102,7 @@ fn compare_some(
     let info = models[0].info();
     let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
     progress.begin("measuring some vertices", bytes);
-    // So many blocks are mapped together that all threads have work.
+    // Blocks are mapped together in numbers that give all threads work.
     for some in chosen.chunks(1 << 6) {
         let (mut rest, mut found) = (Vec::new(), Vec::new());
         for block in some {
@@ -130,7 +130,7 @@ fn same_count(model: &dyn Model, deformed: &dyn Model) -> Result<()> {
     Err(Error::mismatch(what, "compare versions of the same model"))
 }
 
-/// What is known of the deviation so far.
+/// Sums of the deviation over the vertices so far.
 struct Compared {
     errors: Histogram,
     jumps: Histogram,
@@ -138,7 +138,7 @@ struct Compared {
     sum: f64,
     max: f64,
     scale: f64,
-    /// The vertex before, and how far it is off.
+    /// The vertex before, and its error.
     last: Option<(DVec3, DVec3)>,
 }
 
@@ -149,7 +149,7 @@ impl Compared {
         Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
     }
 
-    /// Vertices in the file's order, so many in a row that follow each other there.
+    /// Adds vertices in the file's order, of which `row` at a time follow each other there.
     fn add(
         &mut self,
         rest: &[DVec3],

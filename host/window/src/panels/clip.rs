@@ -1,4 +1,4 @@
-//! The plane that cuts the model open: along what, and where.
+//! The panel of the plane that cuts the model open: its axis and its place.
 
 use super::card;
 use crate::clip::{across, reach};
@@ -8,10 +8,10 @@ use glam::DVec3;
 use simod_viewer::{Clip, Command};
 
 const MARGIN: f32 = 12.0;
-/// How much of the picture's height it takes.
+/// Height of the panel, in points.
 pub const HEIGHT: f32 = 46.0;
 
-/// At the lower left, while the model is cut open.
+/// Shows the panel at the lower left, while the model is cut open.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let Some(clip) = window.state().clipped() else { return };
     let area = Area::new(Id::unique("clip")).order(Order::Middle).movable(false);

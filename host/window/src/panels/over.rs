@@ -1,4 +1,4 @@
-//! Over the picture: options of the tool, what is being done, and what colours mean.
+//! Panels over the picture: options of the tool, what is being done, and the meaning of colours.
 
 use super::{card, clip, lesson, pinned, progress};
 use crate::tools::hand::Measuring;
@@ -12,7 +12,7 @@ use simod_viewer::selection::Combine;
 
 const MARGIN: f32 = 12.0;
 
-/// Shows what is over the picture.
+/// Shows the panels over the picture.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     if window.tools.has_options() {
         options(ui, rect, window, commands);
@@ -28,7 +28,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
-            // In a narrow picture, in several lines.
+            // The options take several lines in a narrow picture.
             ui.horizontal_wrapped(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window, commands),
                 Tool::Measure => measuring(ui, window, commands),
@@ -40,7 +40,8 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     });
 }
 
-/// How many handles that a plugin placed are in the hand, and how far others go along.
+/// Options of a move of handles that a plugin placed: the number of those in the hand, and the distance to
+/// which others go along.
 fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();
@@ -60,7 +61,7 @@ fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// How many joints a drag places.
+/// Options of the tool for joints: joints or pins, and the number of joints that a drag places.
 fn chaining(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     if !is_of_use(Tool::Joint, window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
@@ -99,7 +100,7 @@ fn chaining(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// What is measured, and what it comes to.
+/// Options of the tool that measures, and the result.
 fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     for (measuring, name, hint) in [
         (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
@@ -129,7 +130,7 @@ fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// Whether a box chooses samples or handles, where the step has handles.
+/// Choice between samples and handles for a box, where the step has handles.
 fn what_is_boxed(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let has_handles = window.chosen().is_some_and(|(step, ..)| !window.state().handles(step).is_empty());
     if window.tools.tool != Tool::Box || !has_handles {

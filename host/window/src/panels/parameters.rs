@@ -60,7 +60,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// How much of the step is done.
+/// Control of the step's amount: 0 leaves all at rest, 1 is the whole deformation.
 fn amount(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let desc = ParamDesc::float("step-amount", "Amount", 1.0)

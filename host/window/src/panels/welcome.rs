@@ -10,7 +10,7 @@ use eframe::egui::{
 use simod_viewer::engine::Job;
 use simod_viewer::state;
 
-/// Recent files that are offered.
+/// Number of recent files that are offered.
 const RECENT: usize = 5;
 const SIZE: Vec2 = vec2(440.0, 440.0);
 

@@ -105,7 +105,7 @@ fn a_step_is_named_blended_looked_at_alone_and_copied() {
     let pasted = step(&other, 0);
     assert_eq!((pasted.title.as_deref(), pasted.deformation().unwrap().amount), (Some("Lean back"), 0.25));
     assert_eq!(state(&other).chosen(), Some(0));
-    // What is no step is told, and nothing changes.
+    // A text that is no step is told of, and nothing changes.
     other.event(egui::Event::Paste("Dear all".to_owned()));
     settle(&mut other);
     assert_eq!(other.state().window().steps().len(), 1);
