@@ -362,7 +362,9 @@ impl<'a> ToleranceSearch<'a> {
         let first = ANEW * self.first;
         let rounds_off = ROUNDING * beyond.rounding > beyond.worst;
         let helps = (nearest as u64) < self.first || touches().is_some();
-        (helps && !rounds_off && first <= of.samples.len() as u64).then_some(first)
+        // A bend at a region's rim is as sharp for any samples.
+        let is_bend = step_with_rim(self.sought.steps, of, beyond.place).is_some();
+        (helps && !rounds_off && !is_bend && first <= of.samples.len() as u64).then_some(first)
     }
 
     /// Judges each vertex, and asks the exact map if it is known.
@@ -508,8 +510,7 @@ impl UnrefinedState {
         let disagree = f64::from(field.disagreement(at));
         (nearer > NEARER && before < nearer * disagree).then(|| {
             let [before, disagree] = [before, disagree].map(|x| x / now.local_diagonal());
-            let near = AROUND * spacing(&self.sampled.samples) * now.frame.scale;
-            let rim = step_with_rim(steps, place, near)
+            let rim = step_with_rim(steps, now, place)
                 .map_or_else(String::new, |step| format!(" at the rim of a region of the step {step}"));
             format!(
                 "the deformation has a step there, or bends sharply{rim}, or has details of the size of the vertices' \
@@ -520,14 +521,15 @@ impl UnrefinedState {
     }
 }
 
-/// Name of the first step's tool, if the rim of one of its regions is so near to a place of the model at
-/// rest: to either side of it a deformation need not bend alike.
-fn step_with_rim(steps: &[Step], place: DVec3, near: f64) -> Option<&str> {
-    let deformations = steps.iter().filter(|step| step.enabled).filter_map(|step| match &step.action {
+/// Name of the first step's tool, if the rim of one of its regions is near to a place of the model at rest:
+/// to either side of it a deformation need not bend alike.
+fn step_with_rim<'s>(steps: &'s [Step], of: &SampledModel, place: DVec3) -> Option<&'s str> {
+    let nearest = of.samples.nearest(of.frame.to_local(place)) as usize;
+    let near = AROUND * f64::from(of.samples.spacing()[nearest]) * of.frame.scale;
+    let first = steps.iter().filter(|step| step.enabled).find_map(|step| match &step.action {
         Action::Deform(deformation) => Some(deformation),
         Action::Refine(_) => None,
-    });
-    let first = deformations.into_iter().next()?;
+    })?;
     let is_near = |shapes: &Shapes| shapes.signed_distance(place).abs() < near;
     first.regions.iter().any(|region| is_near(&region.shapes)).then_some(&first.deform)
 }
