@@ -104,7 +104,7 @@ pub(crate) fn log(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("at most {lines} lines a call")))
 }
 
-/// The shortest of a few deformations is quick; of a few, as other programs take their time, too.
+/// The shortest of a few deformations is quick; there are a few, as other programs take their time, too.
 pub(crate) fn latency(subject: &Subject) -> Checked<Finding> {
     const TIMES: usize = 5;
     let case = Case::bumpy_sphere(&subject.plugin, LARGE)?;

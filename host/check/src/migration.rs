@@ -90,7 +90,8 @@ enum Brought {
 /// Brings a step up to its plugin, more than once.
 ///
 /// # Errors
-/// The migrated step differs from time to time, or is migrated once more.
+/// The plugin fails by a mistake of its own; the migrated step differs from time to time, or is migrated once
+/// more.
 fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
     let brought = |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
     let first = match brought(step) {

@@ -32,9 +32,9 @@ pub enum Show {
     /// A bar, where standard error is a terminal
     #[default]
     Auto,
-    /// Lines, for programs and logs: stage, part done, bytes a second
+    /// Lines for programs and logs: stage, percentage done, bytes per second
     Lines,
-    /// Nothing
+    /// No progress
     None,
 }
 

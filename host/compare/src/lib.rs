@@ -76,8 +76,9 @@ pub struct Comparing {
 /// `compare.json`, tables, pictures, and if they are kept the deformed models. The failure of a method is
 /// told in the result, and the others go on.
 ///
-/// The file names programs, which are not allowed; the folder is there and no former comparison, or cannot
-/// be written; the model cannot be read; no method could be done; the user cancelled.
+/// # Errors
+/// The file names programs, and these are not allowed; the folder is there and no former comparison, or
+/// cannot be written; the model cannot be read; no method could be done; the user cancelled.
 pub fn compare(
     file: &CompareFile,
     plugins: &PluginRegistry,

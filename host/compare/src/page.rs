@@ -121,7 +121,7 @@ fn figure(pictures: &[(String, Vec<u8>)], name: &str, alt: &str, caption: &str) 
     Some(html! { figure { img alt=(alt) src=(source); figcaption { (caption) } } "\n" })
 }
 
-/// Gallery of the pictures whose names have this ending.
+/// Gallery of the pictures whose names have this ending before their extension.
 fn gallery(c: &Comparison, end: &str, pictures: &[(String, Vec<u8>)]) -> Markup {
     let methods =
         c.done().filter_map(|(m, _)| figure(pictures, &format!("{}{end}.png", m.file), &m.name, &m.name));

@@ -77,6 +77,7 @@ pub struct ComparisonPlanOptions<'a> {
 /// writes the plan to a folder, which appears whole or not at all. A former plan there is replaced. The
 /// model is not read.
 ///
+/// # Errors
 /// The errors of [`compare`](crate::compare) before it begins; the folder cannot be written, or holds other
 /// things than a plan; the folder lies in the output, or the other way round; a path is no text.
 pub fn make(

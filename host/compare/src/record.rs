@@ -110,8 +110,8 @@ pub struct MethodRecord {
     pub sampling: Map<String, Value>,
     /// `blended-jets` or `projected-barycentric`, or `none` where the method gives a deformed model.
     pub reconstruction: String,
-    /// Source of a result that another program made or is, as the file says: `deformed`, `model` or
-    /// `command`, and its path or command.
+    /// Source of a result that was not made by steps, as the file names it: `deformed`, `model` or `command`,
+    /// and the path or the command.
     pub from: Option<(String, String)>,
     /// Deformations that were done; none where they could not even be begun.
     pub steps: Vec<DeformationRecord>,

@@ -53,6 +53,7 @@ struct SamplingNote {
 /// The failure of a method is told in its record, as in a comparison by one process; a method that failed
 /// by the disk or the machine has no record, and may be done again by another machine.
 ///
+/// # Errors
 /// There is no such unit, or one that has to be done before was not; the comparison has changed since the
 /// plan was made; files of other units are damaged; the model cannot be sampled; and the errors of
 /// [`compare`](crate::compare).

@@ -240,10 +240,10 @@ impl<'a> Details<'a> {
     }
 }
 
-/// Steps of smoothing, each of them half way to the mean W of the neighbours, as a sum of Chebyshev's
+/// n steps of smoothing, each of them half way to the mean W of the neighbours, as a sum of Chebyshev's
 /// polynomials: ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those
 /// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all paths end within a few
-/// √n of half steps, so that so many polynomials are as good as n steps, and the rest is less than rounding.
+/// √n steps, so that as many polynomials are as good as n steps, and the rest is less than rounding.
 struct SmoothingSteps {
     shares: Vec<f64>,
 }

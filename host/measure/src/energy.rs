@@ -201,8 +201,8 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
             break;
         }
     }
-    // Product of the greatest eigenvalue's distances from the others, by which the rows of the adjugate are
-    // long.
+    // The slope is the product of the greatest eigenvalue's distances from the others, which the lengths of
+    // the adjugate's rows are proportional to.
     if slope.is_nan() || slope <= APART * size * squares {
         return None;
     }

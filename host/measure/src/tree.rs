@@ -134,7 +134,7 @@ struct UnitCube {
 }
 
 impl UnitCube {
-    /// Bound of what rounding makes of lengths in the cube, and of the parts of longer ones.
+    /// Bound of rounding errors: of those of lengths in the cube, and as a part of longer lengths.
     const ROUNDING: f32 = 1e-5;
     /// Farther points are taken for some that are nearer.
     const FARTHEST: DVec3 = DVec3::splat(1e15);

@@ -70,7 +70,7 @@ struct CacheStamp {
 
 /// The content that will be made.
 pub(crate) struct CachedContent {
-    /// Reason for the content, which messages tell, as "its points are unpacked".
+    /// Words for messages on what is made of the model, as "its points are unpacked".
     pub what: &'static str,
     /// Size of the content in bytes, the least and the greatest: content of another size was made of the same
     /// model by other means, and is of no use.

@@ -55,8 +55,8 @@ impl ObjectRange {
         while !bytes.is_empty() {
             let room = self.part_bytes - self.at % self.part_bytes;
             let (now, later) = bytes.split_at(bytes.len().min(room as usize));
-            // Whether this part begins before the range: at its first byte there is nothing of the part yet,
-            // and that byte is not the part's first.
+            // Whether this part begins before the range: none of its bytes came yet, and the next one is not
+            // its first.
             let begins_before = self.open.is_empty() && !self.at.is_multiple_of(self.part_bytes);
             if begins_before {
                 self.before.extend_from_slice(now)

@@ -169,7 +169,7 @@ fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
     Ok(None)
 }
 
-/// Number of numbers in the line of a vertex.
+/// Count of the numbers in the line of a vertex.
 fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize> {
     let numbers = words(line).count();
     if numbers > MOST_NUMBERS {

@@ -53,7 +53,7 @@ pub struct ResumableFile {
     since: u64,
     /// Summary of the pieces written since the last part.
     summary: Summary,
-    /// Number of bytes of the model that a part stands for when it is over.
+    /// Number of bytes of the model after which a part is over.
     part_bytes: u64,
     /// Whether the end of writing waits until all is on the disk.
     syncs: bool,

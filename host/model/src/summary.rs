@@ -38,7 +38,7 @@ pub(crate) struct PartBox {
 }
 
 impl PartBox {
-    /// Numbers of a part's box in its text.
+    /// Count of the numbers in the text of a part's box.
     const NUMBERS: usize = 10;
 
     /// Box of a part without anything in it.

@@ -1,5 +1,5 @@
-//! Generates the amphora and draws it, streaming throughout: `cargo run --release -p simod-picture --example
-//! render_amphora -- [FOLDER] [VERTICES]...`
+//! Generates the amphora and draws it, streaming throughout:
+//! `cargo run --release -p simod-picture --example render_amphora -- [FOLDER] [VERTICES]...`
 #![allow(clippy::print_stdout, reason = "a program for people")]
 
 use std::error::Error;

@@ -9,7 +9,7 @@ use super::palette::{class_color, scale_color};
 /// The colour of a vertex: of its number in these parts of models that are read in step.
 pub type PaintBy<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
 
-/// Painting of vertices, and the number of the first attributes that it needs; none for plain clay.
+/// Number of the first attributes that the painting of vertices needs, and the painting; none for plain clay.
 pub(super) type Painted<'a> = Option<(usize, &'a PaintBy<'a>)>;
 
 /// Source of the points' colours.

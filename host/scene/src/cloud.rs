@@ -348,8 +348,8 @@ fn octahedral(normal: Vec3) -> u32 {
 }
 
 /// Direction as a point of an octahedron's net, with both coordinates from -1 to 1; nothing where the
-/// direction is not known. Cigolle et al., *A Survey of Efficient Representations for Independent Unit
-/// Vectors*, JCGT 3(2), 2014.
+/// direction is not known (Z. Cigolle et al., *A Survey of Efficient Representations for Independent Unit
+/// Vectors*, JCGT 3(2), 2014).
 fn on_octahedron(direction: Vec3) -> Option<Vec2> {
     let n = direction / direction.abs().element_sum();
     if !n.is_finite() {

@@ -203,7 +203,7 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Origin of a plugin that came from elsewhere; none for those that come with the program.
+    /// Origin of a plugin that names its author or an address, unlike those that come with the program.
     pub fn from_plugin(plugin: &Plugin) -> Option<Self> {
         let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
         (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })

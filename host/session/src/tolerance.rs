@@ -35,8 +35,8 @@ const ANEW: u64 = 4;
 const ROUNDS: u64 = 20;
 const LEAST_ADDED: u64 = 256;
 
-/// Factor by which clusters around the worst place are divided, whatever their size, where nothing is added
-/// that the estimate asks for ...
+/// Number of clusters, about, into which each one around the worst place is divided, whatever its size, where
+/// nothing is added that the estimate asks for ...
 const INTO: f64 = 4.0;
 /// ... within so many spacings of the samples there.
 const AROUND: f64 = 4.0;
@@ -49,19 +49,18 @@ const MOST: u64 = 64;
 /// ... if that is more.
 const FEW: u64 = 1 << 20;
 
-/// Part of its least so far to which the largest expected error has to fall; else it is asked whether the
-/// deformation can be followed at all ...
+/// Part of its least value so far to which the largest expected error has to fall from time to time ...
 const FALLS: f64 = 0.9;
-/// ... if it has not for so many rounds. Where few samples are added among sparse ones, the error rises for a
-/// while.
+/// ... and number of rounds without such a fall after which the search checks whether the deformation can be
+/// followed at all. Where few samples are added among sparse ones, the error rises for a while.
 const PATIENCE: usize = 7;
 
 /// Number of such rounds after which a search begins anew with more first samples, if it may.
 const STALLED: usize = 3;
 
-/// Factor by which samples are nearer to each other when the expected error there has to have fallen by as
-/// much at least: where a deformation is smooth the error falls with the third power, and at a step not at
-/// all.
+/// Ratio of the former spacing of samples to the present one beyond which the expected error there has to
+/// have fallen by the same ratio at least: where a deformation is smooth the error falls with the third
+/// power, and at a step not at all.
 const NEARER: f64 = 2.0;
 
 /// The factor by which rounding is more at single vertices than in the mean.

@@ -18,7 +18,7 @@ const TRIES: usize = 4;
 pub(crate) struct ObjectVersion {
     place: ObjectLocation,
     bytes: u64,
-    /// Tag that tells the version from others, by the store or, where the store gives none, the time of
+    /// Tag that tells the version from others: the store's or, where the store gives none, the time of
     /// writing.
     tag: String,
     /// Condition of a request by which no other version answers it.

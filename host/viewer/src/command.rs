@@ -14,7 +14,7 @@ use simod_session::session_file::SamplingTable;
 use simod_session::step::Role;
 use std::path::PathBuf;
 
-/// One deed of a user. Steps are known by their place, 0 for the first; pixels are counted from the top
+/// One action of a user. Steps are known by their place, 0 for the first; pixels are counted from the top
 /// left of the picture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -269,7 +269,7 @@ pub enum CameraMove {
     },
     /// Moves the camera along the picture.
     Pan {
-        /// Way of the pointer, in pixels.
+        /// Shift of the pointer, in pixels.
         by: [f64; 2],
     },
     /// Brings the camera nearer to the point under the pointer, or farther from it.

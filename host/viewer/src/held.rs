@@ -27,9 +27,9 @@ struct HeldHandle {
 
 impl GrabbedHandles {
     /// Takes the handles that were `chosen`, by their ids; other handles that are nearer to one of them
-    /// than `reach` go along, the less the farther they are. A handle below another one that is held goes
-    /// with that, and is not held itself; nor are pins, nor the handles below one that goes along. Nothing
-    /// where none of the chosen ones is there. Lengths are of the model.
+    /// than `reach` go along, the less the farther they are. A chosen handle below another chosen one goes
+    /// with that, and is not held itself; of the others, pins and handles with a parent do not go along by
+    /// themselves. Nothing where none of the chosen ones is there. Lengths are of the model.
     pub fn new(all: &[(HandleDesc, PlacedHandle)], chosen: &BTreeSet<String>, reach: f64) -> Option<Self> {
         let is_chosen = |(desc, _): &(HandleDesc, PlacedHandle)| chosen.contains(desc.id.as_str());
         let places: Vec<DVec3> = all.iter().filter(|h| is_chosen(h)).map(|(_, h)| h.position()).collect();

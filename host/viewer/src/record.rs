@@ -30,6 +30,7 @@ impl Recorder {
 
 /// The commands of a recording.
 ///
+/// # Errors
 /// A line is no command; the error names the line.
 pub fn parse(text: &str) -> Result<Vec<Command>> {
     let command = |(i, line): (usize, &str)| {

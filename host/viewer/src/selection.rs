@@ -6,7 +6,7 @@ use simod_core::sampled_model::SampledModel;
 /// Neighbours of a sample that no triangle joins to others.
 const RING: usize = 6;
 
-/// Effect of the pointed at samples on the selection.
+/// Effect on the selection of the samples that are pointed at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Combine {

@@ -76,8 +76,8 @@ impl Axis {
     }
 }
 
-/// Box around the samples and the knobs of the chosen step's axis, as far as both are seen: its two
-/// corners, in local coordinates.
+/// Box around the samples and, if handles are shown, the knobs of the chosen step's axis: its two corners, in
+/// local coordinates.
 fn bounds(window: &Window) -> Option<[DVec3; 2]> {
     let shown = window.state().scene()?.bounds().map(|corner| corner.as_dvec3());
     let knobs = Axis::find(window).filter(|_| window.looks.handles).map(|axis| axis.knobs());

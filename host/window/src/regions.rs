@@ -7,7 +7,7 @@ use simod_session::edit::Entry;
 use simod_session::step::Role;
 use simod_viewer::Command;
 
-/// Factor by which the samples of a selection get more at once.
+/// Factor by which the number of samples in a selection grows at once.
 const FINER: f64 = 4.0;
 
 /// Whether a region of this role can be made of the selection: something is selected, and the chosen step

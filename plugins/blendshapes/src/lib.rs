@@ -53,13 +53,13 @@ impl Deformer for Blendshapes {
             descriptor = descriptor
                 .param(
                     ParamDesc::model(&id, &name, 1)
-                        .hint("The samples as something has deformed them: a file with their ids, as `simod deform` writes it"),
+                        .hint("Samples as something has deformed them: a file with their ids, as `simod deform` writes it"),
                 )
                 .param(
                     ParamDesc::float(&amount(number), &format!("Amount {number}"), 1.0)
                         .hard(-10.0, 10.0)
                         .soft(0.0, 1.0)
-                        .hint("How much of the target is added; less than nothing takes it away"),
+                        .hint("Amount of the target that is added: 1 is all, values below 0 take it away, those above 1 exaggerate"),
                 );
         }
         descriptor.consumes(Consumes { rest_positions: true, ..Consumes::default() })

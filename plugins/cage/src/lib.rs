@@ -39,13 +39,13 @@ struct CagePlugin;
 /// Parameters of a cage.
 #[derive(ParamSet)]
 struct CageSettings {
-    /// Made about the model, unless there is a file
+    /// Shape of the cage that is made, where `file` names none
     #[param(default = CageShape::Hull, invalidates_preparation)]
     cage: CageShape,
-    /// About how many vertices a cage has that is made
+    /// Number of vertices of a cage that is made, approximately
     #[param(default = 40, hard = 6..=400, soft = 6..=150, invalidates_preparation)]
     detail: i64,
-    /// How far a cage that is made stays away from the model; the edges of a near one show
+    /// Distance of a cage that is made from the model; the edges of a near one show
     #[param(default = 0.05, unit = "diagonal", hard = 0.001..=1.0, soft = 0.01..=0.1, invalidates_preparation)]
     margin: f64,
 }
@@ -68,12 +68,13 @@ enum CageShape {
 /// Parameters of the samples' coordinates in a cage.
 #[derive(ParamSet)]
 struct Followed {
-    /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes
-    /// more memory and time
+    /// Coordinates of the samples; Somigliana's keep the shape of details, and take more memory and time
+    ///
+    /// The model then follows the cage as an elastic body does; mean values shear details.
     #[param(default = CageCoordinates::MeanValue, invalidates_preparation)]
     coordinates: CageCoordinates,
-    /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single
-    /// vertices are drawn out
+    /// Poisson's ratio, for Somigliana; low ones keep details' shape, high ones the volume at vertices drawn
+    /// out
     #[param(default = -0.25, hard = -0.9..=0.49, soft = -0.5..=0.45, invalidates_preparation)]
     poisson: f64,
 }

@@ -30,6 +30,7 @@ pub type BadLandmarks = (Option<usize>, String);
 
 /// Landmarks of a file, in the file's coordinates.
 ///
+/// # Errors
 /// The file cannot be read, or a line is no landmark.
 pub fn read(path: &Path) -> Result<Vec<Landmark>, BadLandmarks> {
     let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));

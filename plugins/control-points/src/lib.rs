@@ -33,13 +33,14 @@ struct ControlPoints;
 /// Parameters: the map, and the report on it.
 #[derive(ParamSet)]
 struct ControlPointSettings {
-    /// Splines and local weights meet each landmark; the others as well as they can
+    /// Kind of map; splines and local weights meet each landmark, the others as well as they can
     #[param(default = MapKind::ThinPlate, invalidates_preparation)]
     method: MapKind,
-    /// How much a thin-plate spline may miss landmarks, for those that are not exact; 0 meets them
+    /// Smoothing of a thin-plate spline, for landmarks that are not exact; 0 meets them, larger ones miss
+    /// more
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=1e3, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
-    /// How well landmarks are met: in one line, a line for each of them, or as objects of JSON
+    /// Form of the report on how well landmarks are met: one line, a line for each, or objects of JSON
     #[param(default = ReportForm::Summary, invalidates_preparation)]
     report: ReportForm,
 }
@@ -67,7 +68,7 @@ impl Deformer for ControlPoints {
             )
             .param(
                 ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
-                    .hint("Lines of a name, x, y, z, where these belong, and maybe a weight, in the model's coordinates"),
+                    .hint("Lines of a name, x, y, z, the new place as x, y, z, and maybe a weight, in the model's coordinates"),
             )
             .param_set::<ControlPointSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })

@@ -32,16 +32,16 @@ struct CurvePlugin;
 /// Parameters: the wire's place, and its effects.
 #[derive(ParamSet)]
 struct CurveSettings {
-    /// How many points a wire has that is made: through the middle of the model, along its longest side
+    /// Number of points of a wire that is made: through the model's middle, along its longest side
     #[param(default = 5, hard = 2..=100, soft = 3..=15, invalidates_preparation)]
     points: i64,
-    /// What is beyond the wire's ends
+    /// Motion of what is beyond the wire's ends
     #[param(default = Ends::Follow, invalidates_preparation)]
     ends: Ends,
-    /// From which distance from the wire on nothing moves
+    /// Distance from the wire from which on nothing moves
     #[param(default = 1.0, unit = "diagonal", hard = f64::MIN_POSITIVE..=1e3, soft = 0.01..=1.0)]
     reach: f64,
-    /// The part of the reach within which all goes along as a whole
+    /// Part of the reach within which all goes along as a whole
     #[param(default = 0.5, hard = 0.0..=1.0, soft = 0.0..=1.0)]
     whole: f64,
     /// Turn about the wire from its beginning to its end
@@ -141,7 +141,7 @@ impl Deformer for CurvePlugin {
             )
             .param(
                 ParamDesc::file("moved", "Moved wire", &["csv", "txt", "xyz", "obj"])
-                    .hint("Where these points go, as many in the same order; handles move them on from there"),
+                    .hint("New places of these points, as many in the same order; handles move them on from there"),
             )
             .param_set::<CurveSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })

@@ -13,6 +13,7 @@ const MOST_BYTES: u64 = 4 << 20;
 /// white space; a first line without numbers is a heading. OBJ files have vertices, in the order of their
 /// first `l` line where there is one.
 ///
+/// # Errors
 /// The file cannot be read, a line is no point, or there are fewer than two points or more than [`MOST`].
 pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     let error = |what: String| {

@@ -93,25 +93,24 @@ impl<'a> SetBrush<'a> {
         let mirror = |id, name, hint| ParamDesc::bool(id, name, false).hint(hint).group("Symmetry");
         vec![
             ParamDesc::choice("brush", "Brush", "inflate", &brushes)
-                .hint("What strokes do; negative strengths do the opposite, which smooth has not"),
-            ParamDesc::float("depth", "Depth", 0.2)
-                .hard(0.0, 4.0)
-                .soft(0.0, 1.0)
-                .hint("How far a full stroke of inflate, draw or crease moves the surface, in radii"),
+                .hint("Effect of strokes; negative strengths do the opposite, which smooth has not"),
+            ParamDesc::float("depth", "Depth", 0.2).hard(0.0, 4.0).soft(0.0, 1.0).hint(
+                "Distance by which a full stroke of inflate, draw or crease moves the surface, in radii",
+            ),
             ParamDesc::curve("falloff", "Falloff", &[[0.0, 1.0], [1.0, 0.0]])
-                .hint("How much of the brush is felt, from its middle to its rim"),
+                .hint("Strength of the brush from its middle (left) to its rim (right)"),
             ParamDesc::float("spacing", "Spacing", 0.2)
                 .hard(0.01, 1.0)
                 .soft(0.05, 0.5)
-                .hint("Between dabs along the stroke, in radii"),
+                .hint("Distance between dabs along the stroke, in radii"),
             ParamDesc::bool("accumulate", "Accumulate", false)
-                .hint("Whether a stroke that crosses itself adds up; smooth and flatten always do"),
+                .hint("Adds up where a stroke crosses itself; smooth and flatten always do"),
             mirror("symmetry-x", "Mirror x", "Paints the mirror image across x as well"),
             mirror("symmetry-y", "Mirror y", "Paints the mirror image across y as well"),
             mirror("symmetry-z", "Mirror z", "Paints the mirror image across z as well"),
             ParamDesc::point("symmetry-center", "Mirror centre", [0.5; 3])
                 .unit(Unit::MODEL_LENGTH)
-                .hint("A point on all mirrors")
+                .hint("Point on all mirrors")
                 .group("Symmetry"),
         ]
     }

@@ -69,23 +69,23 @@ struct Elastic;
 
 #[derive(ParamSet)]
 struct ElasticSettings {
-    /// How much it keeps its volume: 0 for cork, 0.3 for wood, 0.45 for flesh, 0.49 for rubber
+    /// Poisson's ratio; larger ones keep the volume better: 0 cork, 0.3 wood, 0.45 flesh, 0.49 rubber
     #[param(default = 0.45, hard = 0.0..=0.495, soft = 0.0..=0.49, invalidates_preparation)]
     poisson: f64,
-    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer
-    /// by half of this
+    /// Weight beside the stiffness: a bar as long as the diagonal gets longer by half of this as it hangs
     #[param(default = 0.0, hard = 0.0..=10.0, soft = 0.0..=0.1)]
     weight: f64,
-    /// Where the weight draws to
+    /// Direction in which the weight draws
     #[param(direction, default = [0.0, 0.0, -1.0])]
     down: [f64; 3],
-    /// Parts that come near to each other do not pass through
+    /// Keeps parts that come near to each other from passing through
     #[param(default = true)]
     contact: bool,
-    /// Cells of the lattice along the longest side of the model
+    /// Number of cells of the lattice along the longest side of the model; more are nearer to the truth, and
+    /// slower
     #[param(default = 32, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
     resolution: i64,
-    /// It is at rest when no corner of the lattice would move farther
+    /// Largest motion of a corner of the lattice that counts as rest
     #[param(default = 1e-4, unit = "diagonal", hard = 1e-9..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
 }

@@ -66,26 +66,27 @@ struct Laplacian;
 
 #[derive(ParamSet)]
 struct LaplacianSettings {
-    /// Rigid keeps shapes and turns details; smoothest is linear and does neither
+    /// Method; rigid ones keep shapes and turn details, the smoothest is linear and does neither
     #[param(default = Mode::SmoothArap, invalidates_preparation)]
     mode: Mode,
-    /// Over how long a way the surface bends, for smooth rigid; 0 lets it crease
+    /// Length over which the surface bends, for smooth rigid; 0 lets it crease
     #[param(default = 0.03, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.2, invalidates_preparation)]
     bending: f64,
-    /// What turns around a sample, for rigid: its triangles (Chao and others 2010), or its edges alone
-    /// (Sorkine and Alexa 2007)
+    /// Parts that turn with a sample, for published rigid: its triangles, or its edges alone
+    ///
+    /// Triangles: Chao and others 2010; edges: Sorkine and Alexa 2007.
     #[param(default = Surroundings::SpokesAndRims, group = "Accuracy", invalidates_preparation)]
     surroundings: Surroundings,
-    /// The last three steps lower the energy by less than this part of what all did, for rigid
+    /// Decrease of the energy by the last three steps, as a part of that by all, for published rigid
     #[param(default = 1e-3, hard = 0.0..=1.0, soft = 1e-6..=1e-1, group = "Accuracy")]
     decrease: f64,
-    /// At most so many steps on all samples, after those on a coarse likeness; for smooth rigid
+    /// Number of steps on all samples at most, after those on a coarse likeness, for smooth rigid
     #[param(default = 2, hard = 0..=10_000, soft = 0..=20, group = "Accuracy")]
     iterations: i64,
-    /// Steps end when no sample moves farther; for smooth rigid
+    /// Largest motion of a sample in a step at which the steps end, for smooth rigid
     #[param(default = 1e-4, unit = "diagonal", hard = 0.0..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
-    /// Robust takes any triangles; cotangents as they are compare with other programs
+    /// Weights of the triangles; robust ones take any, cotangents as they are compare with other programs
     #[param(default = TriangleWeights::Robust, group = "Accuracy", invalidates_preparation)]
     weights: TriangleWeights,
 }

@@ -48,16 +48,16 @@ pub const MOST_CENTERS: i64 = 50_000;
 /// Parameters: the accuracy, and the expense.
 #[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
-    /// How smooth the deformation is, and how far it reaches; of compact ones, no farther than the support
+    /// Radial function, by which the deformation is smooth or local; compact ones reach as far as the support
     #[param(default = RadialKernel::Triharmonic, invalidates_preparation)]
     pub kernel: RadialKernel,
-    /// How far a compact kernel reaches from the regions; what is farther from all of them stays where it is
+    /// Distance from the regions up to which a compact kernel reaches; what is farther stays where it is
     #[param(default = 0.25, unit = "diagonal", hard = 1e-3..=10.0, soft = 0.02..=1.0, invalidates_preparation)]
     pub support: f64,
-    /// How far regions may stray, relative to the handles' motion
+    /// Distance by which regions may stray, relative to the handles' motion
     #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
-    /// Limits the time of the preparation
+    /// Largest number of centres, which limits the time of the preparation
     #[param(name = "Most centres", default = 1000, hard = 8..=MOST_CENTERS, soft = 100..=20_000)]
     #[param(group = "Accuracy", invalidates_preparation)]
     pub max_centers: i64,

@@ -266,9 +266,10 @@ impl<'a> Profile<'a> {
             [("smooth", "Smooth"), ("smoother", "Smoother"), ("linear", "Linear"), ("curve", "Drawn")];
         [
             ParamDesc::choice("profile", "Profile", "smoother", &profiles)
-                .hint("How the motion grows from what is fixed to a handle"),
-            ParamDesc::curve("curve", "Curve", &[[0.0, 0.0], [1.0, 1.0]])
-                .hint("Of the profile `curve`: how much moves, from what is fixed to a handle"),
+                .hint("Growth of the motion from what is fixed to a handle"),
+            ParamDesc::curve("curve", "Curve", &[[0.0, 0.0], [1.0, 1.0]]).hint(
+                "Part of the motion from what is fixed (left) to a handle (right), for the drawn profile",
+            ),
         ]
     }
 

@@ -30,13 +30,13 @@ struct SmoothHandle;
 
 #[derive(ParamSet)]
 struct SmoothHandleSettings {
-    /// How far samples are from regions: fingers that nearly touch are far along the surface
+    /// Distance of samples from regions; along the surface, fingers that nearly touch are far apart
     #[param(default = Distance::Euclidean, invalidates_preparation)]
     distance: Distance,
-    /// How far handles reach if nothing is fixed
+    /// Distance up to which handles reach, if nothing is fixed
     #[param(default = 0.25, unit = "diagonal", hard = 0.0.., soft = 0.0..=1.0, invalidates_preparation)]
     reach: f64,
-    /// Over what length the ridges are smoothed that distances have
+    /// Length over which ridges of the distances are smoothed; larger ones are rounder
     #[param(default = 0.02, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
 }

@@ -31,20 +31,19 @@ struct Smooth;
 /// Parameters of the smoothing.
 #[derive(ParamSet)]
 struct SmoothSettings {
-    /// A filter keeps the size of what stays; the flow shrinks all, what is most curved first
+    /// Method; a filter keeps the size of what stays, the flow shrinks all, what is most curved first
     #[param(default = SmoothingMethod::Filter, invalidates_preparation)]
     method: SmoothingMethod,
-    /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a
-    /// third)
+    /// Length from crest to crest below which bumps go; of those as long, half is left (by the flow, a third)
     #[param(default = 0.05, unit = "diagonal", hard = f64::MIN_POSITIVE..=10.0, soft = 0.005..=0.5, invalidates_preparation)]
     size: f64,
-    /// How much of it is done; less than nothing makes bumps stand out
+    /// Amount of smoothing: 1 is all, 0 none, values below 0 make bumps stand out
     #[param(default = 1.0, hard = -10.0..=10.0, soft = -1.0..=1.0)]
     amount: f64,
-    /// In how many steps the flow goes on, each by the curvature that the one before has left
+    /// Number of steps of the flow, each by the curvature that the one before has left
     #[param(default = 4, hard = 1..=1000, soft = 1..=20, invalidates_preparation)]
     steps: i64,
-    /// Brings back what a closed surface has lost of its volume
+    /// Gives a closed surface back what it has lost of its volume
     #[param(default = true, invalidates_preparation)]
     keep_volume: bool,
 }

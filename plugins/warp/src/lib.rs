@@ -23,35 +23,34 @@ struct WarpPlugin;
 /// Parameters: the kind of warp, and its place.
 #[derive(ParamSet)]
 struct WarpSettings {
-    /// What happens along the axis
+    /// Kind of deformation along the axis
     #[param(default = Operation::Twist)]
     operation: Operation,
-    /// A point on the axis; a bend, stretch or shear leaves it where it is
+    /// Point on the axis; a bend, stretch or shear leaves it where it is
     #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length")]
     center: [f64; 3],
-    /// Along which the warp runs
+    /// Direction along which the warp runs
     #[param(direction, default = [0.0, 1.0, 0.0])]
     axis: [f64; 3],
-    /// Where a bend or shear leans the axis to; its part along the axis does not count
+    /// Direction to which a bend or shear leans the axis; its part along the axis does not count
     #[param(direction, default = [1.0, 0.0, 0.0])]
     direction: [f64; 3],
-    /// Of a twist or bend, over the whole range
+    /// Angle of a twist or bend over the whole range
     #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
     angle: f64,
-    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's
-    /// length, relative to that before
+    /// Ratio of a taper's size at the end to that at the start, or of a stretch's length to that before
     #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
     factor: f64,
-    /// Of a stretch: makes all thinner as the range gets longer, so that the range keeps its volume
+    /// Makes what is stretched thinner as the range gets longer, so that the range keeps its volume
     #[param(default = false)]
     keep_volume: bool,
-    /// Of a shear: way across the axis, per length along it
+    /// Displacement of a shear across the axis, per length along it
     #[param(default = 0.5, soft = -2.0..=2.0)]
     slope: f64,
-    /// Start of the range along the axis, signed, from the centre
+    /// Start of the range along the axis, as a signed distance from the centre
     #[param(default = -0.5, unit = "diagonal", soft = -1.0..=1.0)]
     from: f64,
-    /// End of the range along the axis, signed, from the centre
+    /// End of the range along the axis, as a signed distance from the centre
     #[param(default = 0.5, unit = "diagonal", soft = -1.0..=1.0)]
     to: f64,
 }

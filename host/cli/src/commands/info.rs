@@ -19,14 +19,18 @@ use super::sample::asked_error;
 use super::tell_cache;
 use crate::report::{Report, count, length, with_lengths};
 
-/// Show what a model, or a sampled model, holds
+/// Show the content of a model, or of a sampled model
 #[derive(Args)]
 pub struct Info {
-    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), several files
-    /// or a pattern as 'tiles/*.laz' that are one model, or the folder of a sampled one
+    /// Model, as a file, several files or a pattern, or folder of a sampled model
+    ///
+    /// Formats: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, and text in columns. Several files,
+    /// or all that match a pattern such as 'tiles/*.laz', are the tiles of one model.
     #[arg(value_name = "MODEL|DIR", required = true)]
     path: Vec<PathBuf>,
-    /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
+    /// Columns of a text file, as x,y,z,_,nx,ny,nz [default: names in its first line, or x,y,z]
+    ///
+    /// `_` stands for a column that is neither a position nor a normal.
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
 }

@@ -11,8 +11,9 @@ use simod_session::{PluginRegistry, SessionFile, sidecar};
 /// The option on files that are there already.
 #[derive(Args)]
 pub struct Overwrite {
-    /// Replace a file that is there though it is of another kind than what is written; never one that this
-    /// command reads
+    /// Replace files of another kind than what is written
+    ///
+    /// Files of the same kind are replaced without it. Files that this command reads are never replaced.
     #[arg(long)]
     force: bool,
 }

@@ -24,9 +24,9 @@ pub enum Plugin {
         #[command(flatten)]
         plugins: PluginArgs,
     },
-    /// Show a plugin's parameters
+    /// Show a plugin, its inputs and its parameters
     Info {
-        /// The plugin's id, as `warp`
+        /// Id of the plugin, as `warp`
         id: String,
         #[command(flatten)]
         plugins: PluginArgs,

@@ -21,9 +21,9 @@ use crate::report::Report;
 /// stay.
 #[derive(Args)]
 pub struct Migrate {
-    /// The session
+    /// Session file
     session: PathBuf,
-    /// The session to write
+    /// File to write the session to
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -21,12 +21,14 @@ use crate::report::Report;
 /// Begin a plugin of your own: a project in Rust or C that builds, tests itself and works
 #[derive(Args)]
 pub struct New {
-    /// The plugin's name, in kebab-case, as `soft-bulge`: its id in sessions, and the project's folder
+    /// Name of the plugin in kebab-case, as `soft-bulge`
+    ///
+    /// It is the plugin's id in sessions, and the name of the project's folder.
     name: String,
-    /// The folder to make the project's folder in (default: the current one)
+    /// Folder to make the project's folder in [default: the current one]
     #[arg(long, value_name = "DIR")]
     path: Option<PathBuf>,
-    /// The language to write it in
+    /// Programming language of the plugin
     #[arg(long, value_enum, default_value_t = Language::Rust)]
     lang: Language,
 }
@@ -34,9 +36,9 @@ pub struct New {
 /// Programming language of a plugin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Language {
-    /// Rust, with the interface's crate
+    /// Rust, with the crate of the interface
     Rust,
-    /// C, with its header; for C++ too
+    /// C, with the header of the interface; also for C++
     C,
 }
 

@@ -35,51 +35,63 @@ const ADVISED: f64 = 0.5;
 const TIMES_MORE: u64 = 3;
 const LEAST_MORE: u64 = 256;
 
-/// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
+/// Stream the deformation of the samples onto every vertex of the model
+///
+/// Several deformations at once give a deformed model each.
 #[derive(Args)]
 pub struct Reconstruct {
-    /// The sampled model
+    /// Folder of the sampled model
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program.
-    /// Several files, or a pattern as 'frame-*.ply', give a model each
+    /// Deformed samples: samples.ply with other positions, from `simod deform` or any program
+    ///
+    /// Several files, or a pattern such as 'frame-*.ply', give a deformed model each.
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write: in the format of the model, or in another one that its extension says
-    /// (those of `simod convert`); of a model that is made of tiles a folder, for as many files of the same
-    /// names. {} in it stands for what the * of --deformed matched, or for a file's name without its ending
+    /// File to write the deformed model to; its extension says the format
+    ///
+    /// Formats: that of the model, and those that `simod convert` writes. For a model of several tiles it is
+    /// a folder, for as many files of the same names. {} in the name stands for what the * of --deformed
+    /// matched, or for a file's name without its extension.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its
-    /// displacement, the largest and the smallest stretch of the surface, whether it is folded (turned inside
-    /// out), and how far it is probably off (`expected_error`, in the model's unit, and
-    /// `expected_error_fraction`, of the diagonal). {} as in -o; not with --resume
+    /// PLY file to write as well, with figures for each vertex; not with --resume
+    ///
+    /// The figures are for viewers of scalar fields: the new position, the displacement, the largest and the
+    /// smallest stretch of the surface, whether it is folded (turned inside out), and the expected error
+    /// (`expected_error`, in the model's unit, and `expected_error_fraction`, of the diagonal). {} in the
+    /// name stands for what it does in -o.
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
-    /// Write nothing if any vertex is expected to be off by more: a fraction of the diagonal, or with the
-    /// suffix u a length in the model's unit, as 0.002u
+    /// Largest expected error of a vertex at which the model is written, as 1e-4 or 0.002u
+    ///
+    /// A number is a fraction of the diagonal of the bounding box; with the suffix u it is a length in the
+    /// model's unit. Nothing is written if any vertex is expected to have a larger error.
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// The model that was sampled, if it was moved since
+    /// Model that was sampled, if its file has moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// How to transfer the deformation
+    /// Method by which the deformation goes from the samples to the vertices
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
-    /// What becomes of the model's normals
+    /// Normals of the deformed model
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    /// Offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is
-    /// done
+    /// Continue what an interrupted run of this command left
+    ///
+    /// With it, Ctrl-C and a full disk keep what is done.
     #[arg(long)]
     resume: bool,
-    /// How much of the model is lost at most when a run is killed; for tests
+    /// Size of the part of the model that is lost at most when a run is killed; for tests
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, default_value_t = PART_BYTES, hide = true)]
     part_size: u64,
-    /// Write another format than the model's even where it cannot hold all
+    /// Write a format that cannot hold all that the model has
+    ///
+    /// Without it, that is an error, which lists what would be lost.
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]
@@ -91,12 +103,12 @@ pub struct Reconstruct {
 /// Treatment of the model's normals.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum NormalsName {
-    /// They keep their bytes
+    /// Keep the bytes of the model's normals
     Keep,
-    /// They turn with the surface
+    /// Turn the model's normals with the surface
     #[default]
     Transform,
-    /// They are left out
+    /// Leave the normals out
     Drop,
 }
 
@@ -113,10 +125,10 @@ impl From<NormalsName> for Normals {
 /// Treatment of the offset of positions that are stored as integers.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum OffsetName {
-    /// It stays; what moves beyond the integers is an error
+    /// Keep the model's offset; a vertex that moves beyond the integers is an error
     #[default]
     Keep,
-    /// Another one is chosen, by whole steps, where the samples move beyond the integers: all of them are
+    /// Choose another offset, by whole steps, where samples move beyond the integers; all positions are
     /// written anew then
     Auto,
 }
@@ -124,9 +136,9 @@ pub enum OffsetName {
 /// The methods of the reconstruction.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum MethodName {
-    /// The paper's: an offset along the normal over a projected triangle of samples
+    /// Offset along the normal over a projected triangle of samples, as in the paper
     ProjectedBarycentric,
-    /// A blend of second-order expansions around the nearest samples
+    /// Blend of second-order expansions around the nearest samples
     #[default]
     BlendedJets,
 }

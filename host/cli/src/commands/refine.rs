@@ -21,36 +21,42 @@ use super::sample::parse_bytes;
 use super::tell_cache;
 use crate::report::{Report, count, length};
 
-/// Append more samples to a sampled model where it is selected, down to its vertices if need be
+/// Add samples to a sampled model in chosen places, down to one for each vertex
 #[derive(Args)]
 #[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space", "auto"])))]
 #[command(group(ArgGroup::new("finer").args(["factor", "samples"])))]
 pub struct Refine {
-    /// The sampled model, which takes the new samples unless --into says where else they go
+    /// Folder of the sampled model, which gets the new samples unless --into names another
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// A ball to refine: its centre, in the model's coordinates at rest, and its radius. All shapes that are
-    /// given are united
+    /// Ball to refine: its centre and its radius
+    ///
+    /// Coordinates are those of the model at rest. Balls, boxes and half-spaces may be given several times,
+    /// and are united.
     #[arg(long, value_name = "X,Y,Z,R", value_parser = numbers::<4>, allow_hyphen_values = true)]
     sphere: Vec<[f64; 4]>,
-    /// A box to refine: its least and its greatest coordinates
+    /// Box to refine: its least and its greatest coordinates
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
     boxes: Vec<[f64; 6]>,
-    /// All on one side of a plane: a point on it, and its normal, which points to that side
+    /// Half-space to refine: a point on its plane, and the plane's normal, which points into it
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
-    /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the
-    /// shapes; --error says how far vertices may probably be off, and --samples how many more samples there
-    /// may be
+    /// Refine where the deformed samples show that the deformation needs it
+    ///
+    /// Shapes restrict it to what lies in them. --error says how far vertices may be expected to be off, and
+    /// --samples how many samples may be added at most.
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
-    /// With --auto, ask the vertices, too: the model is read once, and where one is expected to be off by
-    /// more than --error, which the samples around it may not tell, it is refined
+    /// Refine where vertices need it, too, with --auto
+    ///
+    /// The model is read once. Where a vertex is expected to be off by more than --error, which the samples
+    /// around it may not tell, it is refined.
     #[arg(long, requires = "auto")]
     by_vertices: bool,
-    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its
-    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5]; only there --samples may
-    /// be given besides
+    /// Error bound of each new sample's cluster, as a fraction of the bounding box's diagonal
+    ///
+    /// 0 gives every vertex in the shapes a sample of its own. With --auto, it is the transfer error that is
+    /// allowed [default: 1e-5]; only there --samples may be given besides.
     #[arg(
         long,
         value_name = "E",
@@ -59,23 +65,26 @@ pub struct Refine {
         required_unless_present_any = ["factor", "samples", "auto"]
     )]
     error: Option<f64>,
-    /// About so many times as many samples there
+    /// Factor by which to multiply the number of samples in the shapes, approximately
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     factor: Option<f64>,
-    /// About so many samples more; with --auto, at most so many [default: a quarter of those that there are]
+    /// Number of samples to add, approximately; with --auto, at most
+    ///
+    /// With --auto, the default is a quarter of the samples that there are.
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
-    /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones
-    /// where the reconstruction takes them
+    /// File of the deformed samples of DIR, from which -o gets those of the refined model
+    ///
+    /// Samples that were there stay as they are; new ones go where the reconstruction takes them.
     #[arg(long, value_name = "FILE", requires = "output")]
     deformed: Option<PathBuf>,
-    /// The deformed samples to write (PLY)
+    /// PLY file to write the deformed samples to
     #[arg(short, long, value_name = "FILE", requires = "deformed")]
     output: Option<PathBuf>,
-    /// The folder to write the refined model to, instead of DIR
+    /// Folder to write the refined model to, instead of DIR
     #[arg(long, value_name = "DIR")]
     into: Option<PathBuf>,
-    /// The model that was sampled, if it was moved since
+    /// Model that was sampled, if its file has moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Memory to stay below, as 500M or 2G [default: a quarter of the machine's, at most 2G]

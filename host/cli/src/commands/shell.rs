@@ -15,7 +15,7 @@ const NAME: &str = "simod";
 /// Print completions for a shell
 #[derive(Args)]
 pub struct Completions {
-    /// Which one
+    /// Shell to complete for
     #[arg(value_enum)]
     shell: Shell,
 }
@@ -23,7 +23,7 @@ pub struct Completions {
 /// Write the manual pages, one for each command
 #[derive(Args)]
 pub struct Manual {
-    /// The folder to write them to
+    /// Folder to write the pages to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }

@@ -7,11 +7,12 @@ use simod_session::session_file::SessionTime;
 /// `--frame` and `--time`.
 #[derive(Args)]
 pub struct TimeOptions {
-    /// The frame of a sequence, for plugins that take the time; instead of the session's `[time]`
+    /// Frame of a sequence, for plugins that take the time, instead of the session's `[time]`
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     frame: Option<i64>,
-    /// Seconds since the sequence's beginning; where not given, by the frame and the session's `rate`, or 24
-    /// frames a second
+    /// Time since the beginning of the sequence, in seconds
+    ///
+    /// [default: the frame, by the session's `rate` or 24 frames per second]
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     time: Option<f64>,
 }

@@ -12,7 +12,7 @@ use simod_model::{Error, Result};
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub struct View {
-    /// Whatever `simod-viewer` takes; see `simod view --help`
+    /// Arguments of `simod-viewer`, which `simod view --help` lists
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     arguments: Vec<OsString>,
 }

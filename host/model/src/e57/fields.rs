@@ -115,7 +115,7 @@ impl E57Field {
         matches!(self.kind, NumberEncoding::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
     }
 
-    /// Smallest type of this program that holds all numbers of the field.
+    /// Type that holds all numbers of the field: for unscaled integers the narrowest one.
     pub fn number_type(&self) -> Type {
         match self.kind {
             NumberEncoding::Single => Type::F32,

@@ -61,7 +61,7 @@ pub(super) struct CoordinateOverflow {
     pub value: f64,
 }
 
-/// Field of which no range is wide enough for its bits: the field, and the least and the largest number that
+/// Field whose bits allow no range that is wide enough: the field, and the least and the largest number that
 /// it would have.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TooWide {

@@ -179,7 +179,7 @@ impl Container {
         Ok(this)
     }
 
-    /// Puts a file whose JSON refers to buffers elsewhere together with all of these as binary data. `bin` is
+    /// Joins a file, whose JSON refers to buffers elsewhere, with all of these as binary data. `bin` is
     /// the binary data of the file itself, and `after` is where other chunks begin.
     fn gather(
         source: SourceFile,

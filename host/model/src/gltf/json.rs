@@ -64,7 +64,7 @@ pub(super) struct Accessor<'a> {
     pub(super) min: Option<&'a RawValue>,
     #[serde(borrow)]
     pub(super) max: Option<&'a RawValue>,
-    /// Sparse part as text: it is parsed for accessors alone that are patched.
+    /// Sparse part as text: it is parsed only for accessors that are patched.
     #[serde(borrow)]
     pub(super) sparse: Option<&'a RawValue>,
 }

@@ -69,7 +69,7 @@ pub(super) fn number_type(component: u32) -> Option<Type> {
     })
 }
 
-/// Number of numbers of an element.
+/// Count of the numbers in an element.
 pub(super) fn numbers(shape: &str) -> Option<u64> {
     Some(match shape {
         "SCALAR" => 1,

@@ -276,7 +276,7 @@ pub(crate) struct BlockPieces<'a> {
 
 /// A piece of the file: vertices, or bytes between them.
 pub(crate) enum BlockPiece {
-    /// Number of vertices, and the first of them.
+    /// First vertex of the piece, and the number of its vertices.
     Vertices(u64, u64),
     /// Bytes to be copied.
     Bytes,

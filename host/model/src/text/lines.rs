@@ -154,7 +154,8 @@ impl<'a> Lines<'a> {
         self.offset + self.at as u64
     }
 
-    /// Returns the next line with its end, and the byte of the file at which it begins; `None` at the end.
+    /// Returns the byte of the file at which the next line begins, and the line with its end; `None` at the
+    /// end.
     #[inline]
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
         loop {

@@ -25,7 +25,7 @@ const MOST_HALVED: usize = 24;
 
 /// Factor by which the next picture at rest has more splats than the last one ...
 const FINER: usize = 3;
-/// ... unless it would have more than one of so many of all: then all are drawn.
+/// ... unless these would be at least one of so many of all splats: then all are drawn.
 const NEARLY_ALL: usize = 2;
 
 impl Scene {

@@ -561,7 +561,7 @@ fn groups_are_switched_moved_and_removed_as_one() {
     done(named(1..3, "arms"), "0(12)345");
     done(named(4..6, "legs"), "0(12)3(45)");
     // A step that comes into a group belongs to it, one that leaves it does not, and one that stays beside it
-    // is its own.
+    // keeps it.
     done(EditCommand::Move { from: 3, to: 2 }, "0(132)(45)");
     done(EditCommand::Move { from: 2, to: 0 }, "30(12)(45)");
     done(EditCommand::Move { from: 2, to: 3 }, "30(21)(45)");

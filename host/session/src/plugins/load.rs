@@ -33,8 +33,8 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
         EntryPoint::Rust => {
-            // The loader that comes next would accept a library that lacks functions of others; here that is
-            // an error. The library stays loaded.
+            // The loader that comes next would accept a library of which some imported functions are missing;
+            // here that is an error. The library stays loaded.
             std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
             Box::new(CarefulCode::new(LookingCode(RustCode::new(module)), care))

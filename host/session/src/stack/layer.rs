@@ -453,8 +453,8 @@ impl Layer {
         self.key(rest_key).and(&params).and(&regions).end()
     }
 
-    /// Key of all that the plugin's calls may depend on besides: the plugin itself, the joints, and the
-    /// content of files.
+    /// Key of the rest shape and of all else that each call of the plugin may depend on: the plugin itself,
+    /// the joints, and the content of files.
     fn key(&self, rest_key: u64) -> Key {
         let file = |value: &ParamValue| match value {
             ParamValue::File(Some(path)) => Some(stamps(path)),
@@ -657,7 +657,7 @@ fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     e.saying(format!("{plugin}: parameter `{param}`: {file}{text}"))
 }
 
-/// List of some ids, which may be long, for messages.
+/// Text of the first ids of a list that may be long, for messages.
 fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
     const MOST: usize = 12;
     let mut text = ids.clone().take(MOST).collect::<Vec<_>>().join(", ");

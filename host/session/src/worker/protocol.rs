@@ -39,7 +39,7 @@ pub(super) enum Request {
         points: Slice,
     },
     Handles(InputRecord),
-    /// Settings to be brought up to date, and their version.
+    /// Version of settings, and the settings to be brought up to date.
     Migrate(u32, Vec<SettingRecord>),
     IsIdentity {
         bounds: [[f64; 3]; 2],

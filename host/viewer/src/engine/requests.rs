@@ -60,7 +60,7 @@ pub struct WriteRequest {
     pub follow: Follow,
     /// Method of the reconstruction.
     pub method: Method,
-    /// Normals of the output.
+    /// Treatment of the model's normals.
     pub normals: Normals,
 }
 

@@ -9,8 +9,8 @@ use std::sync::Arc;
 /// Whether the work on the steps `before`, of which step `at` is being done (or prepared), is of use
 /// neither to the eye nor to the newer request.
 ///
-/// Drafts are never in each other's way: while something is dragged, each draft shows its place of a moment
-/// ago. Other work is wasted once a step up to the one that is being done has changed; but not a
+/// Drafts are never in each other's way: while something is dragged, each draft shows where the thing was a
+/// moment ago. Other work is wasted once a step up to the one that is being done has changed; but not a
 /// preparation that the newer request needs too.
 pub fn is_wasted(
     before: &[Entry],

@@ -138,6 +138,7 @@ impl State {
     /// Text of a step, to be [pasted](Command::Paste) into another edit, where the step joins the group
     /// that it comes into.
     ///
+    /// # Errors
     /// There is no such step, or it is too long for a text.
     pub fn copied(&self, at: usize) -> Result<String> {
         let step = Step { group: None, ..(*self.entry(at)?.step).clone() };

@@ -68,7 +68,7 @@ pub fn update(window: &mut Window) {
     let Some(mut running) = window.lesson.take() else { return };
     if is_open(&running, window) {
         let began = *running.began.get_or_insert(*window.state().camera());
-        // A deed of the hand counts once the hand rests.
+        // A part counts as done only once the hand rests.
         let rests = !window.tools.gesture.is_dragging() && !window.state().is_drawing();
         if rests && part_of(&running).is_some_and(|part| (part.done)(window, &began)) {
             (running.part, running.began) = (running.part + 1, None);

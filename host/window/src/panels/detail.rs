@@ -38,10 +38,10 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         Some(part) => format!("{line}, {part}"),
         None => line,
     };
-    if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
+    if ui.button("Off").on_hover_text("Shows samples everywhere").clicked() {
         commands.apply(Command::Preview { what: Previewed::Nothing });
     }
-    if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
+    if ui.button("Update").on_hover_text("Streams what is seen, or selected, now").clicked() {
         commands.apply(Command::Preview { what: of });
     }
     ui.label(RichText::new("samples, at less detail").small().weak());

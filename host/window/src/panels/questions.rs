@@ -75,7 +75,7 @@ fn recover(ui: &mut Ui, answer: &mut Commands, kept: &KeptEdit) -> bool {
             answered = true;
         }
         let discard =
-            ui.button("Discard It").on_hover_text("Open it as it was saved; what was kept goes away");
+            ui.button("Discard It").on_hover_text("Opens it as it was saved; the kept edit is lost");
         if discard.clicked() {
             let kept = kept.clone();
             answer.then(move |window| window.open_without(&kept));

@@ -10,7 +10,7 @@ use simod_session::step::{Action, Refine};
 /// The ways to say how fine a refinement is, as the user reads them.
 const FACTOR: &str = "Times as many samples";
 const ERROR: &str = "Down to an error";
-const SAMPLES: &str = "So many samples more";
+const SAMPLES: &str = "Number of samples more";
 const NEEDED: &str = "Where the deformation needs it";
 
 /// First values of a refinement whose fineness was given in another way before.
@@ -49,11 +49,11 @@ fn explanation(finer: Finer, diagonal: Option<f64>) -> String {
         diagonal.map_or(String::new(), |d| format!(" Here {} in the model's unit.", number(error * d)))
     };
     match finer {
-        Finer::Factor(_) => "Each sample of the part becomes about so many.".to_owned(),
+        Finer::Factor(_) => "Each sample of the part becomes about this many.".to_owned(),
         Finer::Error(error) => {
             format!("A fraction of the diagonal of the model's box; less is finer.{}", in_unit(error))
         }
-        Finer::Samples(_) => "They are put where the error is largest.".to_owned(),
+        Finer::Samples(_) => "New samples are put where the error is largest.".to_owned(),
         Finer::Auto { error, .. } => format!(
             "The error that may be left, as a fraction of the diagonal of the model's box.{}",
             in_unit(error)
@@ -84,7 +84,7 @@ fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
     combo
         .response
         .ctx
-        .accesskit_node_builder(combo.response.id, |node| node.set_label("How the refinement is told"));
+        .accesskit_node_builder(combo.response.id, |node| node.set_label("Measure of the refinement"));
     chosen
 }
 

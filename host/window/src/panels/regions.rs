@@ -130,7 +130,7 @@ fn falloff(
         regions[i].shapes.falloff = falloff;
         commands.change(step, Change::SetRegions(regions), false);
     }
-    response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
+    response.on_hover_text("Distance beyond its border over which the region fades out, in the model's unit");
 }
 
 /// Entries of a menu for the roles that a region can have; the one that was chosen.
@@ -214,7 +214,8 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
                 make::make(window, commands, role);
             }
         }
-        if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
+        if ui.button("Refine").on_hover_text("Adds samples in the selection, as a step of its own").clicked()
+        {
             make::refine(commands);
         }
     });
@@ -222,14 +223,15 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         return;
     }
     ui.horizontal(|ui| {
-        let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
+        let hint =
+            "Makes a handle of the selection, and fixes what is farther from it than the band that bends";
         if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
             make::make_handle(window, commands);
         }
         ui.spacing_mut().slider_width = 60.0;
         let mut band = window.tools.band;
         let slider = Slider::new(&mut band, 0.01..=0.5).logarithmic(true).max_decimals(2);
-        let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
+        let hint = "Width of the band, as a part of the model\u{2019}s diagonal";
         let response = ui.add(slider).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
         if response.changed() {

@@ -81,12 +81,12 @@ fn row(
         let (least, speed) = (1e-6 * stroke.radius, 0.01 * stroke.radius);
         DragValue::new(x).range(least..=f64::MAX).speed(speed).max_decimals(4).prefix("r ")
     });
-    response.on_hover_text("Radius of its brush, in the model's unit");
+    response.on_hover_text("Radius of the brush, in the model's unit");
     let name = format!("Strength of stroke {}", i + 1);
     let (response, strength) = parts::held(ui, id.with("strength"), &name, stroke.strength, |x| {
         DragValue::new(x).speed(0.01).max_decimals(2).prefix("\u{d7} ")
     });
-    response.on_hover_text("Its strength: 1 is full, negative ones do the opposite");
+    response.on_hover_text("Strength of the stroke: 1 is full, negative ones do the opposite");
     if radius.is_some() || strength.is_some() {
         let (radius, strength) = (radius.unwrap_or(stroke.radius), strength.unwrap_or(stroke.strength));
         to(Stroke { radius, strength, ..(**stroke).clone() });

@@ -79,7 +79,7 @@ fn samples(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         }
     })
     .response
-    .on_hover_text("About how many: more show finer detail, and take longer to deform");
+    .on_hover_text("Number of samples, approximately: more show finer detail, and take longer to deform");
 }
 
 fn recent(ui: &mut Ui, window: &Window, commands: &mut Commands) {

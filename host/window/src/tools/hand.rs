@@ -59,7 +59,7 @@ impl Tool {
                 "Click to place a joint, drag to place a chain; it hangs on the one that is chosen."
             }
             Self::Measure => {
-                "Click points on the surface: how far apart, and at which angle. Drag one to move it."
+                "Click points on the surface to measure distances and angles. Drag one to move it."
             }
         }
     }

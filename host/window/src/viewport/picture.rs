@@ -43,7 +43,7 @@ struct Pictures {
 struct PictureDrawing {
     version: ComparedVersion,
     scene: Scene,
-    /// Budget of the version's frames, and the number of pictures that share a frame.
+    /// Number of pictures that share a frame, and the budget for that number.
     budget: (u32, Budget),
     texture: Texture,
     colors: SampleColors,

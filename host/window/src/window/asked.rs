@@ -36,7 +36,7 @@ pub struct KeptEdit {
     pub steps: usize,
 }
 
-/// Deed that waited until the user said whether to save.
+/// Action that waits until the user has said whether to save.
 #[derive(Clone)]
 pub enum Leaving {
     /// The window is closed.

@@ -1,5 +1,5 @@
-//! Commands of panels and tools. Panels and tools see the window as it is, and change nothing themselves: a
-//! deed of the user there becomes a command, which is done once the panel is drawn.
+//! Commands of panels and tools. Panels and tools see the window as it is, and change nothing themselves: an
+//! action of the user there becomes a command, which is done once the panel is drawn.
 
 use super::Window;
 use crate::settings::WindowSettings;

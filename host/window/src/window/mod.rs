@@ -92,7 +92,7 @@ pub struct Window {
     pub chooser: Chooser,
     dialog: Option<Dialog>,
     leaving: bool,
-    /// Deed that goes on once the edit is saved.
+    /// Action that goes on once the edit is saved.
     after: Option<Leaving>,
     title: String,
     opened: Option<PathBuf>,
@@ -238,7 +238,7 @@ impl Window {
         self.toasts.leave_old();
         self.state.poll();
         let notices = self.state.take_notices();
-        // A new scene takes the messages along that there was none.
+        // A new scene removes the errors of jobs that had failed to make one.
         let revision = self.state.scene().map_or(0, |scene| scene.revision);
         if std::mem::replace(&mut self.seen, revision) != revision {
             self.toasts.leave(Cause::Job(Job::Evaluate));
@@ -306,7 +306,7 @@ impl Window {
         }
     }
 
-    /// Greets a model that was opened and has come.
+    /// Takes note of a model that was opened and is there now: remembers its path, and chooses a step.
     fn is_there(&mut self, Awaited { path, recover, .. }: Awaited) {
         self.settings.remember(&path);
         self.keep_settings();
@@ -480,7 +480,7 @@ impl Window {
         }
     }
 
-    /// Asks whether the window may be closed now; if not, the question is shown.
+    /// Whether the window may be closed now; if not, the user is asked about the edit that is not saved.
     pub fn may_close(&mut self) -> bool {
         if self.leaving || !self.is_unsaved() {
             return true;
@@ -522,7 +522,7 @@ impl Window {
         false
     }
 
-    /// Saves, and goes on with the deed that waited; where the session's path is not known, the dialog
+    /// Saves, and goes on with the action that waited; where the session's path is not known, the dialog
     /// comes first.
     pub fn save_and_leave(&mut self, leaving: Leaving) {
         if self.save() {
@@ -587,7 +587,7 @@ impl Window {
         }
     }
 
-    /// Lets go of the deed that waited for a file, as none was chosen.
+    /// Lets go of the action that waited for a file, as none was chosen.
     pub fn not_answered(&mut self) {
         self.after = None;
     }

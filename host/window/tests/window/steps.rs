@@ -214,13 +214,13 @@ fn a_refinement_is_told_otherwise() {
     done(&mut harness, Command::Undo);
     assert_eq!((finer(&harness), samples(&harness)), (Finer::Factor(1.5), before), "a drag is one change");
     // Another way to tell it.
-    harness.get_by_label("How the refinement is told").click();
+    harness.get_by_label("Measure of the refinement").click();
     harness.run_steps(2);
-    harness.get_by_label("So many samples more").click();
+    harness.get_by_label("Number of samples more").click();
     settle(&mut harness);
     assert!(matches!(finer(&harness), Finer::Samples(_)), "{:?}", finer(&harness));
     harness.get_by_label("Samples of the refinement");
-    harness.get_by_label("How the refinement is told").click();
+    harness.get_by_label("Measure of the refinement").click();
     harness.run_steps(2);
     harness.get_by_label("Down to an error").click();
     settle(&mut harness);
