@@ -335,7 +335,8 @@ impl<'a> ToleranceSearch<'a> {
             Some(refined) => Ok(Round::More(refined)),
             None => {
                 let told = self.told_of_first(of, &beyond);
-                let none_left = || format!("{}{told}", SamplesNeed::NONE_LEFT);
+                let rim = at_rim(self.sought.steps, of, beyond.place);
+                let none_left = || format!("{}{rim}{told}", SamplesNeed::NONE_LEFT);
                 let why = self.why_not(of, &field, &beyond).unwrap_or_else(none_left);
                 Ok(self.held_up(of, &why, &beyond))
             }
@@ -509,8 +510,7 @@ impl UnrefinedState {
         let disagree = f64::from(field.disagreement(at));
         (nearer > NEARER && before < nearer * disagree).then(|| {
             let [before, disagree] = [before, disagree].map(|x| x / now.local_diagonal());
-            let rim = step_with_rim(steps, now, place)
-                .map_or_else(String::new, |step| format!(" at the rim of a region of the step {step}"));
+            let rim = at_rim(steps, now, place);
             format!(
                 "the deformation has a step there, or bends sharply{rim}, or has details of the size of the vertices' \
                  spacing, as samples {nearer:.1} times as near to each other disagree by {disagree:.1e}, and {before:.1e} \
@@ -518,6 +518,12 @@ impl UnrefinedState {
             )
         })
     }
+}
+
+/// Words for the rim of a region, if one is near to a place of the model at rest.
+fn at_rim(steps: &[Step], of: &SampledModel, place: DVec3) -> String {
+    step_with_rim(steps, of, place)
+        .map_or_else(String::new, |step| format!(" at the rim of a region of the step {step}"))
 }
 
 /// Name of the first step's tool, if the rim of one of its regions is near to a place of the model at rest:
