@@ -29,7 +29,7 @@ use crate::edit::{Document, Evaluation, Refinements, messages, turning_gradients
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile};
 use crate::sidecar;
-use crate::stack::Stack;
+use crate::stack::{BLOCK, Stack};
 use crate::step::Step;
 use crate::tolerance::{self, Certificate, Sought, Tolerance};
 
@@ -225,6 +225,12 @@ impl Running<'_> {
         if self.measure || self.exact {
             stack.check_evaluable()?;
         }
+        if self.exact && self.how.method != Method::default() {
+            return Err(Error::argument(
+                "every vertex is evaluated: no method transfers anything",
+                "leave out --exact or --method",
+            ));
+        }
         if self.tolerance.is_some() && (self.exact || self.how.method != Method::BlendedJets) {
             return Err(Error::argument(
                 "a tolerance is kept by refining for the method blended-jets",
@@ -244,8 +250,8 @@ pub struct ExactCost {
     pub seconds: f64,
 }
 
-/// Number of points that are evaluated to estimate the time for all vertices.
-const TRIED: usize = 4096;
+/// Number of points that each thread evaluates to estimate the time for all vertices.
+const TRIED: usize = BLOCK;
 
 /// A finished run of a session.
 pub struct Run {
@@ -441,8 +447,11 @@ fn told_cost(
 ) -> Result<ExactCost> {
     let DeformedSamples { sampled, stack, .. } = deformed;
     let rest = &sampled.samples.positions;
-    let step = rest.len().div_ceil(TRIED);
-    let some: Vec<DVec3> = rest.iter().step_by(step).map(|p| sampled.frame.to_model(*p)).collect();
+    // As many blocks as there are threads, or only some of these would have work.
+    let tried = TRIED * rayon::current_num_threads();
+    let step = rest.len().div_ceil(tried).max(1);
+    let some = rest.iter().step_by(step).map(|p| sampled.frame.to_model(*p));
+    let some: Vec<DVec3> = some.cycle().take(tried).collect();
     // The first time, caches are cold.
     let mut seconds = f64::INFINITY;
     for _ in 0..2 {

@@ -1,13 +1,16 @@
 //! Runs to a tolerance: samples are added where the transfer is expected to be off by more, and deformed by
 //! the plugins, until it is nowhere. Samples that the transfer itself placed would tell nothing about it.
+//! What samples expect is asked first, as that costs little, and then what is expected of each vertex.
 
 use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
 
 use glam::DVec3;
-use simod_core::reconstruction::transfer_error::{Excesses, TransferError, measure_some};
-use simod_core::reconstruction::{DeformationField, ErrorExcess, Method, RestGeometry};
+use simod_core::reconstruction::transfer_error::TransferError;
+use simod_core::reconstruction::{
+    DeformationField, ErrorExcess, ExactSample, ExpectedError, JudgedVertices, Method, RestGeometry, judge,
+};
 use simod_core::refinement::{Finer, SamplesNeed};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{SampleSet, Target};
@@ -18,7 +21,7 @@ use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Room, ShapePose};
 use crate::shapes::{RegionShape, Shapes};
-use crate::step::{Refine, Step};
+use crate::step::{Action, Refine, Step};
 use simod_plugin_api::Time;
 
 /// The search begins with no fewer samples. First samples stay: those of a few large clusters, at the means
@@ -51,6 +54,9 @@ const FALLS: f64 = 0.9;
 /// ... and number of rounds without such a fall after which the search checks whether the deformation can be
 /// followed at all. Where few samples are added among sparse ones, the error rises for a while.
 const PATIENCE: usize = 7;
+
+/// Number of such rounds after which a search begins anew with more first samples, if it may.
+const STALLED: usize = 3;
 
 /// Ratio of the former spacing of samples to the present one beyond which the expected error there has to
 /// have fallen by the same ratio at least: where a deformation is smooth the error falls with the third
@@ -109,6 +115,8 @@ pub struct Certificate {
     pub tolerance: f64,
     /// The largest error that is expected around a sample.
     pub expected: f64,
+    /// Expected errors of the vertices, or the true ones where the exact map was asked.
+    pub of_vertices: ExpectedError,
     /// Number of samples that were added.
     pub added: u64,
     /// The number of rounds.
@@ -194,7 +202,7 @@ impl Sought<'_> {
         check_precision(&sampled, self.model, self.tolerance)?;
         let mut sampled_anew = None;
         loop {
-            let first = match (self.search(sampled)?, sample) {
+            let first = match (self.search(sampled, sample.is_some())?, sample) {
                 (Ended::Met(met), _) => {
                     let (deformed, certificate) = *met;
                     return Ok((deformed, Certificate { sampled_anew, ..certificate }));
@@ -213,10 +221,10 @@ impl Sought<'_> {
         }
     }
 
-    /// Searches with these first samples.
-    fn search(&self, sampled: SampledModel) -> Result<Ended> {
+    /// Searches with these first samples; another search, with more of them, may follow.
+    fn search(&self, sampled: SampledModel, may_begin_anew: bool) -> Result<Ended> {
         let Self { steps, progress, .. } = *self;
-        let mut search = ToleranceSearch::new(&sampled, self);
+        let mut search = ToleranceSearch::new(&sampled, self, may_begin_anew);
         let how = Refinements { folder: self.folder.to_owned(), time: self.time, ..Refinements::default() };
         let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
             deform(sampled, steps, self.plugins, how.clone(), progress)
@@ -248,6 +256,8 @@ enum Ended {
 /// The search for samples by which no vertex is expected to be off by more.
 struct ToleranceSearch<'a> {
     sought: &'a Sought<'a>,
+    /// Whether it may end early for the sake of another one, with more first samples.
+    may_begin_anew: bool,
     /// Error that refinements ask for: smaller than the tolerance, as density changes around refined places,
     /// which costs precision there.
     asked: f64,
@@ -272,11 +282,12 @@ enum Round {
 }
 
 impl<'a> ToleranceSearch<'a> {
-    fn new(sampled: &SampledModel, sought: &'a Sought<'a>) -> Self {
+    fn new(sampled: &SampledModel, sought: &'a Sought<'a>, may_begin_anew: bool) -> Self {
         let first = sampled.samples.len() as u64;
         let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
         Self {
             sought,
+            may_begin_anew,
             asked: (ASKED * sought.tolerance).max(LEAST_LOCAL / of_diagonal),
             first,
             most: (MOST * first).max(FEW).min(sampled.source.vertices),
@@ -302,13 +313,13 @@ impl<'a> ToleranceSearch<'a> {
         let beyond = match field.expected_beyond(of, tolerance) {
             Some(beyond) => beyond,
             None => {
-                let found = truth(deformed, model, &field, tolerance, progress)?;
-                if found.as_ref().is_none_or(|(truth, _)| truth.max <= tolerance) {
-                    return Ok(Round::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
+                field = field.expecting_of_vertices();
+                let judged = self.judged(deformed, &field)?;
+                if judged.beyond == 0 {
+                    return Ok(Round::Met(self.certificate(of, &field, &judged)));
                 }
-                // The estimate was too small there.
-                field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
-                field.expected_beyond(of, tolerance).ok_or_else(|| {
+                // What samples expect was too little there.
+                field.learn(of, &judged, tolerance).ok_or_else(|| {
                     not_met(of, [tolerance; 2], "single vertices are off by a little more", None)
                 })?
             }
@@ -316,11 +327,16 @@ impl<'a> ToleranceSearch<'a> {
         if let Some(why) = self.why_ended(of, &field, &beyond) {
             return Ok(self.held_up(of, &why, &beyond));
         }
+        if self.may_begin_anew && self.waited >= STALLED && self.first_anew(of, &beyond).is_some() {
+            let why = format!("{STALLED} rounds of refinement have not lessened it");
+            return Ok(self.held_up(of, &why, &beyond));
+        }
         match self.refine(of, &field, &beyond)? {
             Some(refined) => Ok(Round::More(refined)),
             None => {
                 let told = self.told_of_first(of, &beyond);
-                let none_left = || format!("{}{told}", SamplesNeed::NONE_LEFT);
+                let rim = at_rim(self.sought.steps, of, beyond.place);
+                let none_left = || format!("{}{rim}{told}", SamplesNeed::NONE_LEFT);
                 let why = self.why_not(of, &field, &beyond).unwrap_or_else(none_left);
                 Ok(self.held_up(of, &why, &beyond))
             }
@@ -346,19 +362,30 @@ impl<'a> ToleranceSearch<'a> {
         let first = ANEW * self.first;
         let rounds_off = ROUNDING * beyond.rounding > beyond.worst;
         let helps = (nearest as u64) < self.first || touches().is_some();
-        (helps && !rounds_off && first <= of.samples.len() as u64).then_some(first)
+        // A bend at a region's rim is as sharp for any samples.
+        let is_bend = step_with_rim(self.sought.steps, of, beyond.place).is_some();
+        (helps && !rounds_off && !is_bend && first <= of.samples.len() as u64).then_some(first)
+    }
+
+    /// Judges each vertex, and asks the exact map if it is known.
+    fn judged(&self, deformed: &DeformedSamples, field: &DeformationField<'_>) -> Result<JudgedVertices> {
+        let Sought { model, tolerance, progress, .. } = *self.sought;
+        let map = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
+        let exact = deformed.stack.can_evaluate().then_some(ExactSample { most: MEASURED, map: &map });
+        judge(model, field, &deformed.sampled, tolerance, exact, progress)
     }
 
     fn certificate(
         &self,
         of: &SampledModel,
         field: &DeformationField<'_>,
-        truth: Option<TransferError>,
+        judged: &JudgedVertices,
     ) -> Certificate {
         let expected = field.expected_beyond(of, 0.0).map_or(0.0, |all| all.worst);
         let added = of.samples.len() as u64 - self.first;
         let (tolerance, rounds) = (self.sought.tolerance, self.rounds);
-        Certificate { tolerance, expected, added, rounds, sampled_anew: None, truth }
+        let JudgedVertices { expected: of_vertices, truth, .. } = *judged;
+        Certificate { tolerance, expected, of_vertices, added, rounds, sampled_anew: None, truth }
     }
 
     /// Reason for which more samples would not help, if they would not.
@@ -368,7 +395,7 @@ impl<'a> ToleranceSearch<'a> {
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
     ) -> Option<String> {
-        self.beginning.as_ref()?.why_not(of, field, beyond)
+        self.beginning.as_ref()?.why_not(of, field, beyond, self.sought.steps)
     }
 
     /// Text that is told, besides, where the worst is around a sample of those at the beginning: these stay,
@@ -466,6 +493,7 @@ impl UnrefinedState {
         now: &SampledModel,
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
+        steps: &[Step],
     ) -> Option<String> {
         let ErrorExcess { worst, rounding, place, .. } = *beyond;
         if ROUNDING * rounding > worst {
@@ -482,27 +510,33 @@ impl UnrefinedState {
         let disagree = f64::from(field.disagreement(at));
         (nearer > NEARER && before < nearer * disagree).then(|| {
             let [before, disagree] = [before, disagree].map(|x| x / now.local_diagonal());
+            let rim = at_rim(steps, now, place);
             format!(
-                "the deformation has a step there, or details of the size of the vertices' spacing, as samples {nearer:.1} \
-                 times as near to each other disagree by {disagree:.1e}, and {before:.1e} at first"
+                "the deformation has a step there, or bends sharply{rim}, or has details of the size of the vertices' \
+                 spacing, as samples {nearer:.1} times as near to each other disagree by {disagree:.1e}, and {before:.1e} \
+                 at first"
             )
         })
     }
 }
 
-/// True error of some vertices, and the place where it is more than allowed, if all plugins know their map.
-fn truth(
-    deformed: &DeformedSamples,
-    model: &dyn Model,
-    field: &DeformationField<'_>,
-    tolerance: f64,
-    progress: &dyn Progress,
-) -> Result<Option<(TransferError, Excesses)>> {
-    if !deformed.stack.can_evaluate() {
-        return Ok(None);
-    }
-    let exact = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
-    measure_some(model, field, &deformed.sampled, (MEASURED, tolerance), &exact, progress).map(Some)
+/// Words for the rim of a region, if one is near to a place of the model at rest.
+fn at_rim(steps: &[Step], of: &SampledModel, place: DVec3) -> String {
+    step_with_rim(steps, of, place)
+        .map_or_else(String::new, |step| format!(" at the rim of a region of the step {step}"))
+}
+
+/// Name of the first step's tool, if the rim of one of its regions is near to a place of the model at rest:
+/// to either side of it a deformation need not bend alike.
+fn step_with_rim<'s>(steps: &'s [Step], of: &SampledModel, place: DVec3) -> Option<&'s str> {
+    let nearest = of.samples.nearest(of.frame.to_local(place)) as usize;
+    let near = AROUND * f64::from(of.samples.spacing()[nearest]) * of.frame.scale;
+    let first = steps.iter().filter(|step| step.enabled).find_map(|step| match &step.action {
+        Action::Deform(deformation) => Some(deformation),
+        Action::Refine(_) => None,
+    })?;
+    let is_near = |shapes: &Shapes| shapes.signed_distance(place).abs() < near;
+    first.regions.iter().any(|region| is_near(&region.shapes)).then_some(&first.deform)
 }
 
 /// A length for people: as a fraction of the model's diagonal, and in its unit.

@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 use simod_core::deformed_positions::DeformedPositions;
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{
-    DeformationField, ErrorExcess, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
-    Reconstruction, RestGeometry, Version, choose_offset, reconstruct,
+    BeyondTolerance, DeformationField, ErrorExcess, ExpectedError, Folding, Method, Normals, PART_BYTES,
+    Reconstructed, Reconstruction, RestGeometry, Version, choose_offset, judge, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise, note_on_name};
@@ -23,6 +23,17 @@ use super::sample::parse_bytes;
 use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
+
+/// Largest rounding, as a part of the tolerance, at which more samples still help.
+const MOST_ROUNDING: f64 = 0.9;
+
+/// Part of the tolerance that an advised refinement asks for, as density changes around refined places.
+const ADVISED: f64 = 0.5;
+
+/// Number of samples that it adds at most for each one that there is, or [`LEAST_MORE`] in all: the expected
+/// errors of these are known then.
+const TIMES_MORE: u64 = 3;
+const LEAST_MORE: u64 = 256;
 
 /// Stream the deformation of the samples onto every vertex of the model
 ///
@@ -166,15 +177,18 @@ impl Reconstruct {
             binding: Some(&binding),
             ..Reconstruction::default()
         };
-        if let Some(tolerance) = self.tolerance {
-            report.progress().begin("estimating the error", 0);
+        let tolerance = self.checked_tolerance(&sampled, model.as_ref())?;
+        if let Some(fraction) = tolerance {
             let expected =
-                self.check_tolerance(tolerance, &sampled, model.as_ref(), &paths, &deformed, report)?;
-            let diagonal = sampled.bounds.diagonal();
-            let figures = json!({"fraction": tolerance.fraction(diagonal), "expected": expected});
-            report.figure("tolerance", with_lengths(figures, &["fraction", "expected"], diagonal));
+                self.check_samples(fraction, (&sampled, model.as_ref()), &paths, &deformed, report)?;
+            let figures = json!({"fraction": fraction, "expected": expected});
+            let lengths = with_lengths(figures, &["fraction", "expected"], sampled.bounds.diagonal());
+            report.figure("tolerance", lengths);
         }
-        let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
+        // What an earlier run has written is not seen any more.
+        let how = Reconstruction { tolerance: tolerance.filter(|_| !self.resume), ..how };
+        let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())
+            .map_err(|error| self.advising(error, tolerance, &sampled, &paths))?;
         self.tell(&done, &paths, &sampled, report);
         Ok(())
     }
@@ -256,17 +270,9 @@ impl Reconstruct {
 }
 
 impl Reconstruct {
-    /// Returns an error where any vertex of a version is expected to be off by more than the tolerance;
-    /// otherwise the greatest expected error.
-    fn check_tolerance(
-        &self,
-        tolerance: Tolerance,
-        sampled: &SampledModel,
-        model: &dyn Model,
-        paths: &[VersionPaths],
-        deformed: &[DeformedPositions],
-        report: &mut Report,
-    ) -> Result<f64> {
+    /// Returns the tolerance as a fraction of the diagonal, or an error where nothing tells that it is met.
+    fn checked_tolerance(&self, sampled: &SampledModel, model: &dyn Model) -> Result<Option<f64>> {
+        let Some(tolerance) = self.tolerance else { return Ok(None) };
         if self.method != MethodName::BlendedJets {
             return Err(Error::argument(
                 "what is expected is known of the method blended-jets alone",
@@ -275,50 +281,112 @@ impl Reconstruct {
         }
         let tolerance = tolerance.fraction(sampled.bounds.diagonal());
         check_precision(sampled, model, tolerance)?;
+        Ok(Some(tolerance))
+    }
+
+    /// Returns an error where more than the tolerance is expected around any sample of a version, before
+    /// anything is streamed; otherwise the greatest expected error. Where an earlier run may have written
+    /// some of the vertices, all are judged, too.
+    fn check_samples(
+        &self,
+        tolerance: f64,
+        of: (&SampledModel, &dyn Model),
+        paths: &[VersionPaths],
+        deformed: &[DeformedPositions],
+        report: &mut Report,
+    ) -> Result<f64> {
+        let (sampled, model) = of;
+        report.progress().begin("estimating the error", 0);
         let around = RestGeometry::kept(sampled);
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;
-            let field = DeformationField::from_deformed(&around, deformed, self.method.into())
+            let mut field = DeformationField::from_deformed(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
-                let ErrorExcess { worst, rounding, place, samples, needed } = beyond;
-                // Refinement goes by the expected error without rounding.
-                let asked = (tolerance.powi(2) - rounding.powi(2)).max(0.0).sqrt().max(0.5 * tolerance);
-                return Err(Error::argument(
-                    format!(
-                        "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
-                         tolerance of {} around {} samples; nothing was written",
-                        paths.output.display(),
-                        length(worst, sampled.bounds.diagonal()),
-                        place.x,
-                        place.y,
-                        place.z,
-                        length(tolerance, sampled.bounds.diagonal()),
-                        count(samples)
-                    ),
-                    format!(
-                        "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time; then \
-                         deform these by the program that deformed the others, as where the transfer places them tells \
-                         nothing about it",
-                        self.refining(paths, asked),
-                        count(needed)
-                    ),
-                ));
+                let needed = field.expected_beyond(sampled, ADVISED * tolerance).map_or(0, |all| all.needed);
+                return Err(self.refusal((tolerance, Some(needed)), sampled, paths, &beyond));
             }
             most = field.expected_beyond(sampled, 0.0).map_or(0.0, |all| all.worst).max(most);
+            if self.resume {
+                field = field.expecting_of_vertices();
+                let judged = judge(model, &field, sampled, tolerance, None, report.progress())?;
+                if let Some(beyond) = field.learn(sampled, &judged, tolerance) {
+                    return Err(self.refusal((tolerance, None), sampled, paths, &beyond));
+                }
+            }
         }
         Ok(most)
     }
 
-    /// Command that adds samples to come below an error.
-    fn refining(&self, paths: &VersionPaths, error: f64) -> String {
+    /// Error with advice, where it is that vertices are expected to be off by more than the tolerance.
+    fn advising(
+        &self,
+        error: Error,
+        tolerance: Option<f64>,
+        sampled: &SampledModel,
+        paths: &[VersionPaths],
+    ) -> Error {
+        let source = std::error::Error::source(&error).and_then(|source| source.downcast_ref());
+        let (Some(BeyondTolerance { version, beyond, .. }), Some(tolerance)) = (source, tolerance) else {
+            return error;
+        };
+        self.refusal((tolerance, None), sampled, &paths[*version], beyond)
+    }
+
+    /// Error where vertices of a version are expected to be off by more than the tolerance, as samples tell,
+    /// which need about so many more, or as single vertices do.
+    fn refusal(
+        &self,
+        (tolerance, needed): (f64, Option<u64>),
+        sampled: &SampledModel,
+        paths: &VersionPaths,
+        beyond: &ErrorExcess,
+    ) -> Error {
+        let diagonal = sampled.bounds.diagonal();
+        let ErrorExcess { worst, rounding, place, samples, .. } = *beyond;
+        let what = format!(
+            "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the tolerance of \
+             {} around {} samples; nothing was written",
+            paths.output.display(),
+            length(worst, diagonal),
+            place.x,
+            place.y,
+            place.z,
+            length(tolerance, diagonal),
+            count(samples)
+        );
+        if rounding > MOST_ROUNDING * tolerance {
+            let why =
+                format!("rounding alone makes {} there: give a larger tolerance", length(rounding, diagonal));
+            return Error::argument(what, why);
+        }
+        let most = (TIMES_MORE * sampled.samples.len() as u64).max(LEAST_MORE);
+        let (how, told) = match needed {
+            Some(needed) => (
+                format!("--error {:e} --samples {most}", rounded_down(ADVISED * tolerance)),
+                format!(", about {} in all, at most {} at a time", count(needed), count(most)),
+            ),
+            None => (
+                format!("--by-vertices --error {:e} --samples {most}", rounded_down(ADVISED * tolerance)),
+                String::new(),
+            ),
+        };
+        let hint = format!(
+            "`{}` adds samples where they are needed{told}; then deform these by the program that deformed the others, as \
+             where the transfer places them tells nothing about it",
+            self.refining(paths, &how)
+        );
+        Error::argument(what, hint)
+    }
+
+    /// Command that adds samples, with these options.
+    fn refining(&self, paths: &VersionPaths, how: &str) -> String {
         let model =
             self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
         format!(
-            "simod refine {} --auto --error {:e} --deformed {}{model} -o more.ply",
+            "simod refine {} --auto {how} --deformed {}{model} -o more.ply",
             quoted(&self.sampled),
-            rounded_down(error),
             quoted(&paths.deformed)
         )
     }
@@ -350,7 +418,7 @@ impl Reconstruct {
                 };
                 let help = format!(
                     "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time",
-                    self.refining(paths, ExpectedError::ACCEPTED),
+                    self.refining(paths, &format!("--error {:e}", ExpectedError::ACCEPTED)),
                     count(beyond.needed)
                 );
                 warn_beyond(&which, &beyond, diagonal, &help, report);

@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use simod_core::deformed_positions::DeformedPositions;
 use simod_core::guard::OutputKind;
-use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals, judge};
 use simod_core::refinement::{Finer, Refined, SamplesNeed, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
@@ -24,7 +24,7 @@ use crate::report::{Report, count, length};
 /// Add samples to a sampled model in chosen places, down to one for each vertex
 #[derive(Args)]
 #[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space", "auto"])))]
-#[command(group(ArgGroup::new("finer").args(["error", "factor", "samples"])))]
+#[command(group(ArgGroup::new("finer").args(["factor", "samples"])))]
 pub struct Refine {
     /// Folder of the sampled model, which gets the new samples unless --into names another
     #[arg(value_name = "DIR")]
@@ -43,17 +43,24 @@ pub struct Refine {
     half_space: Vec<[f64; 6]>,
     /// Refine where the deformed samples show that the deformation needs it
     ///
-    /// Shapes restrict it to what lies in them. Either --error says how far vertices may be expected to be
-    /// off, or --samples how many samples may be added.
+    /// Shapes restrict it to what lies in them. --error says how far vertices may be expected to be off, and
+    /// --samples how many samples may be added at most.
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
+    /// Refine where vertices need it, too, with --auto
+    ///
+    /// The model is read once. Where a vertex is expected to be off by more than --error, which the samples
+    /// around it may not tell, it is refined.
+    #[arg(long, requires = "auto")]
+    by_vertices: bool,
     /// Error bound of each new sample's cluster, as a fraction of the bounding box's diagonal
     ///
     /// 0 gives every vertex in the shapes a sample of its own. With --auto, it is the transfer error that is
-    /// allowed [default: 1e-5], and at most a quarter more samples than there are is added.
+    /// allowed [default: 1e-5]; only there --samples may be given besides.
     #[arg(
         long,
         value_name = "E",
+        conflicts_with = "factor",
         allow_negative_numbers = true,
         required_unless_present_any = ["factor", "samples", "auto"]
     )]
@@ -97,6 +104,12 @@ fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> 
 
 impl Refine {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        if !self.auto && self.error.is_some() && self.samples.is_some() {
+            return Err(Error::argument(
+                "both --error and --samples say how fine it shall be",
+                "leave out one of them; only with --auto both are met",
+            ));
+        }
         let how = Refinement { shapes: self.shapes()?, finer: self.finer() };
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
@@ -170,13 +183,30 @@ impl Refine {
         progress: &dyn Progress,
     ) -> Result<Refined> {
         let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::kept(sampled));
-        let field = around
-            .as_ref()
-            .zip(deformed)
-            .map(|(around, deformed)| DeformationField::from_deformed(around, deformed, Method::default()));
+        let field = around.as_ref().zip(deformed).map(|(around, deformed)| {
+            let field = DeformationField::from_deformed(around, deformed, Method::default());
+            if self.by_vertices { self.asking_vertices(field, sampled, model, progress) } else { Ok(field) }
+        });
+        let field = field.transpose()?;
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
         how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
+    }
+
+    /// Field whose expected errors around samples are no less than those of the vertices there, where these
+    /// are more than is allowed.
+    fn asking_vertices<'a>(
+        &self,
+        field: DeformationField<'a>,
+        sampled: &SampledModel,
+        model: &dyn Model,
+        progress: &dyn Progress,
+    ) -> Result<DeformationField<'a>> {
+        let allowed = self.error.unwrap_or(Finer::ALLOWED);
+        let mut field = field.expecting(&sampled.frame, model.info()).expecting_of_vertices();
+        let judged = judge(model, &field, sampled, allowed, None, progress)?;
+        field.learn(sampled, &judged, allowed);
+        Ok(field)
     }
 
     fn shapes(&self) -> Result<Shapes> {
@@ -240,8 +270,13 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
             target.display(),
             length(done.error, diagonal)
         ));
-    } else if done.need.is_none_or(|need| need.samples > 0) {
+    } else if done.need.is_none() {
         report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
+    } else if done.need.is_some_and(|need| need.samples > 0) {
+        report.line(
+            "what is expected there divides no cluster any further: nothing is changed. --sphere and --factor refine around a \
+             place whatever is expected there",
+        );
     }
     report.line(format!(
         "read {} bytes of {} for {} of {} cells",

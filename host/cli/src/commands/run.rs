@@ -48,7 +48,7 @@ pub struct Run {
     ///
     /// The result is the reference, at its cost, which is told beforehand. Where a step deforms samples only,
     /// this is refused, and the step is named.
-    #[arg(long, conflicts_with = "tolerance")]
+    #[arg(long, conflicts_with_all = ["tolerance", "method"])]
     exact: bool,
     /// Largest expected error of a vertex, as 1e-4 or 0.002u; samples are added to meet it
     ///
@@ -186,7 +186,7 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
 
 /// Reports that a tolerance is met, and by which figures.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
-    let Certificate { tolerance, expected, added, rounds, sampled_anew, truth } = certificate;
+    let Certificate { tolerance, expected, of_vertices, added, rounds, sampled_anew, truth } = certificate;
     let true_error = truth.map(|t| {
         let figures = json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max});
         with_lengths(figures, &["rms", "p999", "max"], diagonal)
@@ -195,6 +195,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         "tolerance": tolerance,
         "tolerance_length": tolerance * diagonal,
         "expected": expected,
+        "vertices": expected_figure(of_vertices, diagonal),
         "added_samples": added,
         "rounds": rounds,
         "sampled_anew": sampled_anew,
@@ -208,6 +209,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         length(*expected, diagonal),
         count(*added)
     ));
+    describe_expected(of_vertices, diagonal, report);
     if let Some(samples) = sampled_anew {
         report.line(format!("sampled anew with {} samples, as from fewer it was not met", count(*samples)));
     }

@@ -12,7 +12,6 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
 
 use super::expansion::Expansion;
-use super::expectation::ErrorSums;
 
 /// Vertices that are encoded at a time.
 const BLOCK: usize = 1 << 12;
@@ -156,8 +155,6 @@ pub struct DiagnosticsFile {
     inverse_diagonal: f64,
     /// Number of folded vertices up to here.
     pub folded: u64,
-    /// Sums of the vertices' expected errors up to here, as fractions of the diagonal.
-    pub expected: ErrorSums,
 }
 
 impl DiagnosticsFile {
@@ -192,9 +189,8 @@ impl DiagnosticsFile {
         header.push_str("end_header\n");
         let file = OutputFile::create(path, Self::expected_bytes(model))?;
         let inverse_diagonal = 1.0 / diagonal.max(f64::MIN_POSITIVE);
-        let expected = ErrorSums::default();
         let path = path.to_owned();
-        let mut this = Self { file, path, scalar, of_splats, inverse_diagonal, folded: 0, expected };
+        let mut this = Self { file, path, scalar, of_splats, inverse_diagonal, folded: 0 };
         this.file.write_all(header.as_bytes()).map_err(|e| this.failed(e))?;
         Ok(this)
     }
@@ -226,7 +222,6 @@ impl DiagnosticsFile {
                 if self.of_splats {
                     bytes.extend_from_slice(&f.anisotropy.to_le_bytes());
                 }
-                self.expected.add(part, 1);
             }
             self.file.write_all(&bytes).map_err(|e| self.failed(e))?;
         }

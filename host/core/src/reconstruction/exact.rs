@@ -70,7 +70,7 @@ pub fn write_exact(
     let create = |path| DiagnosticsFile::create(path, model, sampled.bounds.diagonal());
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
-    let surveys = Surveys::new([diagnostics.as_mut()]);
+    let surveys = Surveys::new([diagnostics.as_mut()], sampled.bounds.diagonal(), None);
     let hash = Mutex::new(VertexHash::like(&sampled.source.fingerprint));
     let mut exact = ExactEdit { sampled, field, map, gradients, is_still: false, hash, surveys };
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
@@ -84,9 +84,9 @@ pub fn write_exact(
     let folds = field.folds();
     let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));
     let mut folding = Folding { samples: folds.samples, first, vertices: None };
-    let mut expected = None;
+    let expected = exact.surveys.finish().pop().flatten().map(|vertices| vertices.expected);
     if let Some(diagnostics) = diagnostics {
-        (folding.vertices, expected) = (Some(diagnostics.folded), Some(diagnostics.expected.sum(true)));
+        folding.vertices = Some(diagnostics.folded);
         diagnostics.commit()?;
     }
     file.complete(false)?;

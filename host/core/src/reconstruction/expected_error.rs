@@ -33,7 +33,6 @@ use simod_model::{ModelInfo, Result};
 use super::blend::LEAST_WEIGHT;
 use super::expansion::{Expansion, ROUNDING};
 use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
-use super::homes::Homes;
 use super::neighbourhood::Neighbourhood;
 use super::stencils::RING;
 use super::{DeformationField, Method, Moved, blended_jets, carry, unresolved};
@@ -88,9 +87,6 @@ const FAR: f32 = 1e9;
 /// The least spread, as a part of the support's radius: all samples of a roof lie in a plane.
 const FLAT: f32 = 0.03;
 
-/// A cluster may reach this many times the distance between samples from its sample.
-const CLUSTER: f32 = 2.0;
-
 impl DeformationField<'_> {
     /// Expected transfer error around each sample, local units: the largest difference between its expansion
     /// and those of its neighbours, halfway, as both ends expect it. 0 where rounding explains the
@@ -104,28 +100,6 @@ impl DeformationField<'_> {
             self.around_samples(&[]).into_iter().map(told).collect()
         } else {
             self.expected.iter().copied().map(told).collect()
-        }
-    }
-
-    /// Raises the errors around the samples that have a say at these places (local coordinates) to those that
-    /// were found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field
-    /// has to be [expecting](Self::expecting).
-    pub fn learn(&mut self, found: &[(Vec3, f32)]) {
-        let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
-        let homes = Homes::new(self.around).find_at(&places);
-        for ((place, off), home) in found.iter().zip(homes) {
-            let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
-            let (expansions, expected) = (&self.expansions, &mut self.expected);
-            let has_say = |i: &usize| expansions[*i].within(*place) > 0.0;
-            // Beside dense samples, those whose clusters may hold the vertex have none.
-            let samples = self.around.samples;
-            let may_hold =
-                |i: &usize| samples.positions[*i].distance(*place) < CLUSTER * samples.spacing()[*i];
-            let near =
-                samples.neighbours().nearest_to(home as usize).iter().map(|i| *i as usize).filter(may_hold);
-            for i in [home as usize].into_iter().chain(reaching.filter(has_say)).chain(near) {
-                expected[i].largest = expected[i].largest.max(*off);
-            }
         }
     }
 
@@ -202,7 +176,7 @@ impl DeformationField<'_> {
 
     /// Finds the distances of samples from where the others' expansions take them: the expected error of
     /// vertices rests on these, too. The field has to be [expecting](Self::expecting).
-    pub(super) fn expecting_of_vertices(mut self) -> Self {
+    pub fn expecting_of_vertices(mut self) -> Self {
         let squares: Vec<f32> = self.each_sample().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
             let ring = self.stencils.ring(i);

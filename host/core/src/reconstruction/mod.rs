@@ -6,8 +6,9 @@
 //! While streaming, `homes` finds the sample around which a vertex lies, by its position alone; `blend`
 //! carries whole blocks of vertices over by the expansions around their homes, or `projected_barycentric`
 //! each vertex in the paper's way; `stream` does so for the whole file. `diagnostics` tells the stretch and
-//! folds of the surface, and `expected_error` the probable error. Where the map of space itself is known,
-//! `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
+//! folds of the surface, `expected_error` the probable error, and `judging` the vertices at which that is
+//! beyond a tolerance. Where the map of space itself is known, `exact` evaluates it at each vertex instead,
+//! and [`transfer_error`] compares results with it.
 
 mod across;
 mod binding;
@@ -29,6 +30,7 @@ mod gradients;
 mod home_cells;
 mod homes;
 mod hull;
+mod judging;
 mod kept_geometry;
 #[cfg(test)]
 mod kept_geometry_tests;
@@ -72,6 +74,7 @@ pub use expectation::{ErrorExcess, ExpectedError};
 pub use field::DeformationField;
 use gradients::Gradients;
 pub(crate) use homes::RING as TANGENT_RING;
+pub use judging::{BeyondTolerance, ExactSample, JudgedVertices, judge};
 pub use parts::{Part, SharedTarget, abort_object, begin_object, join_parts, write_part};
 pub use reach::choose_offset;
 pub use rest_geometry::RestGeometry;

@@ -133,7 +133,7 @@ pub fn write_part(
         hash: Mutex::new(HashedModel::Part(HashedPart::new(0))),
         binding: Mutex::default(),
         homes: Mutex::default(),
-        surveys: Surveys::new([None]),
+        surveys: Surveys::new([None], sampled.bounds.diagonal(), None),
         progress,
     };
     progress.begin("reconstructing", bytes_of(model.bytes_to_rewrite()));

@@ -21,8 +21,10 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
+use super::expectation::ErrorExcess;
+use super::judging::BeyondTolerance;
 use super::reach::check_reach;
-use super::transfer::{HashedModel, Surveys, Transfer, locked, pieces_at_once};
+use super::transfer::{HashedModel, SurveyedVertices, Surveys, Transfer, locked, pieces_at_once};
 use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{VertexHash, fingerprint};
@@ -76,6 +78,9 @@ pub struct Reconstruction<'a> {
     /// [Gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
     /// turn the attributes that [follow](Model::following).
     pub gradients: Option<&'a [Mat3]>,
+    /// Tolerance for the expected error of vertices, a fraction of the diagonal at rest: where any is
+    /// expected to be off by more, nothing is written, and the error's source is [`BeyondTolerance`].
+    pub tolerance: Option<f64>,
 }
 
 impl Default for Reconstruction<'_> {
@@ -88,6 +93,7 @@ impl Default for Reconstruction<'_> {
             is_scratch: false,
             binding: None,
             gradients: None,
+            tolerance: None,
         }
     }
 }
@@ -131,12 +137,14 @@ pub struct Reconstructed {
 /// are kept if the user cancelled or the disk is full.
 ///
 /// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of
-/// [`Model::rewrite`], and with diagnostics 48 bytes for each vertex of a chunk in flight and version.
+/// [`Model::rewrite`], and with diagnostics or a tolerance 48 bytes for each vertex of a chunk in flight and
+/// version.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled; an output cannot be written, is written by another
-/// process, is the model itself or that of another version; diagnostics are asked for with `resume`; a new
-/// position does not fit its type; the user cancelled.
+/// process, is the model itself or that of another version; diagnostics, or a tolerance, are asked for with
+/// `resume`; a new position does not fit its type; vertices are expected to be off by more than the
+/// tolerance, and no version of the same reading is written then; the user cancelled.
 pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
@@ -198,6 +206,12 @@ pub(super) fn checked_targets<'a>(
         return Err(Error::argument(
             "diagnostics of an interrupted reconstruction cannot be gone on with",
             "leave out either --diagnostics or --resume",
+        ));
+    }
+    if how.resume && how.tolerance.is_some() {
+        return Err(Error::argument(
+            "vertices that an interrupted reconstruction has written are not judged any more",
+            "leave out either the tolerance or --resume",
         ));
     }
     let info = model.info();
@@ -328,9 +342,10 @@ impl<'a> ReconstructionCall<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = field(self.sampled, self.model, self.how, &around, begun.version.deformed);
-            if begun.diagnostics.is_some() { field.expecting_of_vertices() } else { field }.prepared()
+            let of_vertices = begun.diagnostics.is_some() || self.how.tolerance.is_some();
+            if of_vertices { field.expecting_of_vertices() } else { field }.prepared()
         };
-        let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
+        let mut fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
             self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
         }
@@ -345,13 +360,14 @@ impl<'a> ReconstructionCall<'a> {
             around.cells();
         }
         drop(reusing);
+        let judging = self.how.tolerance.map(|tolerance| (tolerance, self.sampled.samples.len()));
         let transfer = Transfer {
             fields: &fields,
             frame: &self.sampled.frame,
             hash: Mutex::new(HashedModel::All(VertexHash::like(&self.sampled.source.fingerprint))),
             binding: Mutex::new(binding.zip(self.how.binding)),
             homes: Mutex::default(),
-            surveys: Surveys::new(surveys),
+            surveys: Surveys::new(surveys, self.sampled.bounds.diagonal(), judging),
             progress: self.progress,
         };
         self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
@@ -368,13 +384,16 @@ impl<'a> ReconstructionCall<'a> {
         {
             return Err(self.sampled.source_changed(self.model.path()));
         }
+        let of_vertices = transfer.surveys.finish();
+        self.check_tolerance(&mut fields, &of_vertices)?;
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
         // Completing the files may have taken a while.
         self.progress.check()?;
         let of_samples: Vec<Option<ExpectedError>> =
             fields.iter().map(|field| field.expected_of_samples(self.sampled, info.vertices)).collect();
         drop(fields);
-        self.commit_pass(of_samples)?;
+        let of_vertices = of_vertices.into_iter().map(|vertices| Some(vertices?.expected));
+        self.commit_pass(of_samples.into_iter().zip(of_vertices).map(<[_; 2]>::from).collect())?;
         // At last, so that it takes no room from the outputs.
         if is_last && !is_bound && !around.is_kept() {
             kept_geometry::keep(self.sampled, &around);
@@ -382,10 +401,33 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// Finishes the files of the pass, whose vertices are written, with the expected errors of their samples.
-    fn commit_pass(&mut self, of_samples: Vec<Option<ExpectedError>>) -> Result<()> {
-        for (Begun { number, file, diagnostics, .. }, of_samples) in self.pass.iter_mut().zip(of_samples) {
-            let of_vertices = diagnostics.as_ref().map(|file| file.expected.sum(true));
+    /// Returns an error where vertices of a version of the pass are expected to be off by more than the
+    /// tolerance.
+    fn check_tolerance(
+        &self,
+        fields: &mut [DeformationField<'_>],
+        of_vertices: &[Option<SurveyedVertices>],
+    ) -> Result<()> {
+        let Some(tolerance) = self.how.tolerance else { return Ok(()) };
+        for ((begun, field), vertices) in self.pass.iter().zip(fields).zip(of_vertices) {
+            let Some(vertices) = vertices.as_ref().filter(|vertices| vertices.beyond > 0) else { continue };
+            let beyond = field.learn_excess(self.sampled, &vertices.around, tolerance);
+            let Some(beyond) = beyond else { continue };
+            let beyond = ErrorExcess { worst: vertices.expected.worst, ..beyond };
+            let source = BeyondTolerance { version: begun.number, vertices: vertices.beyond, beyond };
+            let what = format!("{}: {source}, and it is not written", begun.version.output.display());
+            return Err(
+                Error::argument(what, "give a larger tolerance, or add samples there").because(source)
+            );
+        }
+        Ok(())
+    }
+
+    /// Finishes the files of the pass, whose vertices are written, with the expected errors of their samples,
+    /// and those of their vertices, if these were found.
+    fn commit_pass(&mut self, expected: Vec<[Option<ExpectedError>; 2]>) -> Result<()> {
+        for (begun, [of_samples, of_vertices]) in self.pass.iter_mut().zip(expected) {
+            let Begun { number, file, diagnostics, .. } = begun;
             self.expected[*number] = match (of_vertices, of_samples) {
                 (Some(vertices), Some(samples)) => Some(ExpectedError { beyond: samples.beyond, ..vertices }),
                 (vertices, samples) => vertices.or(samples),

@@ -2,17 +2,20 @@
 //! several of them at a time, on as many threads.
 
 use std::collections::BTreeMap;
+use std::iter;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use simod_model::frame::Frame;
 use simod_model::{Edit, Edited, Progress, RawChunk, Result, VertexChunk};
 
 use super::binding::Binding;
 use super::block::carry_on_this_thread;
 use super::diagnostics::DiagnosticsFile;
-use super::{DeformationField, Moved, VertexDiagnostics};
+use super::expectation::ErrorSums;
+use super::judging::ExcessAround;
+use super::{DeformationField, ExpectedError, Moved, VertexDiagnostics};
 use crate::fingerprint::{HashedPart, VertexHash};
 use crate::sampled_model::SampledModel;
 
@@ -80,6 +83,7 @@ impl Edit for Transfer<'_> {
         let homes = locked(&self.homes).remove(&chunk.first);
         let mut figures = self.surveys.figures(chunk.len());
         self.carry(chunk, homes.as_deref(), versions, &mut figures);
+        self.surveys.judge(self.fields, self.frame, &chunk.positions, &figures);
         self.surveys.keep(chunk.first, versions, figures);
         Ok(())
     }
@@ -120,53 +124,133 @@ impl Transfer<'_> {
     }
 }
 
-/// The diagnostics of those versions that have any. Chunks are surveyed in any order, and written in the
-/// model's.
+/// Vertices of those versions that have diagnostics, or are judged. Chunks are surveyed in any order, and
+/// written and summed up in the model's.
 ///
-/// Memory: 48 bytes for each vertex of the chunks in flight and each version with diagnostics.
+/// Memory: 48 bytes for each vertex of the chunks in flight and each such version, and 4 bytes per sample
+/// where they are judged.
 pub(super) struct Surveys<'a> {
-    files: Vec<Option<Mutex<&'a mut DiagnosticsFile>>>,
+    versions: Vec<Option<Mutex<Survey<'a>>>>,
+    /// Tolerance, a fraction of the diagonal, and the errors of each version's vertices that are beyond it;
+    /// `None` where vertices are not judged.
+    judging: Option<(f64, Vec<ExcessAround>)>,
+    /// One over the model's diagonal at rest.
+    inverse_diagonal: f64,
     /// Deformed positions of chunks that are not written yet, by their first vertices, and the diagnostics of
     /// the surface there.
-    waiting: Mutex<BTreeMap<u64, Vec<Surveyed>>>,
+    waiting: Mutex<BTreeMap<u64, Vec<SurveyedChunk>>>,
 }
 
-type Surveyed = (Vec<DVec3>, Vec<VertexDiagnostics>);
+type SurveyedChunk = (Vec<DVec3>, Vec<VertexDiagnostics>);
+
+/// Diagnostics of a version's vertices up to here.
+struct Survey<'a> {
+    file: Option<&'a mut DiagnosticsFile>,
+    expected: ErrorSums,
+    /// Number of those that are expected to be off by more than is accepted.
+    beyond: u64,
+}
+
+/// Expected errors of all vertices of a version.
+pub(super) struct SurveyedVertices {
+    pub expected: ExpectedError,
+    /// Number of those that are expected to be off by more than is accepted.
+    pub beyond: u64,
+    /// Largest of their errors around each sample, local units; empty where they are not judged.
+    pub around: Vec<f32>,
+}
 
 impl<'a> Surveys<'a> {
-    /// The surveys of as many versions.
-    pub(super) fn new(files: impl IntoIterator<Item = Option<&'a mut DiagnosticsFile>>) -> Self {
-        let files = files.into_iter().map(|file| file.map(Mutex::new)).collect();
-        Self { files, waiting: Mutex::default() }
+    /// Surveys of as many versions of a model with this diagonal at rest; where there is a tolerance, a
+    /// fraction of it, vertices are judged, by so many samples.
+    pub(super) fn new(
+        files: impl IntoIterator<Item = Option<&'a mut DiagnosticsFile>>,
+        diagonal: f64,
+        judging: Option<(f64, usize)>,
+    ) -> Self {
+        let survey = |file: Option<&'a mut DiagnosticsFile>| {
+            let is_asked = file.is_some() || judging.is_some();
+            is_asked.then(|| Mutex::new(Survey { file, expected: ErrorSums::default(), beyond: 0 }))
+        };
+        let versions: Vec<_> = files.into_iter().map(survey).collect();
+        let around = |samples| versions.iter().map(|_| ExcessAround::new(samples)).collect();
+        let judging = judging.map(|(accepted, samples)| (accepted, around(samples)));
+        let inverse_diagonal = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+        Self { versions, judging, inverse_diagonal, waiting: Mutex::default() }
     }
 
     /// Lists for the diagnostics of `vertices` vertices, to be filled in, one for each version; empty for
     /// versions whose diagnostics are not written.
     pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
-        let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
-        self.files.iter().map(|file| vec![VertexDiagnostics::UNKNOWN; count(file)]).collect()
+        let count = |survey: &Option<_>| if survey.is_some() { vertices } else { 0 };
+        self.versions.iter().map(|survey| vec![VertexDiagnostics::UNKNOWN; count(survey)]).collect()
+    }
+
+    /// Notes which vertices of a chunk are expected to be off by more than is accepted.
+    fn judge(
+        &self,
+        fields: &[DeformationField<'_>],
+        frame: &Frame,
+        rest: &[DVec3],
+        figures: &[Vec<VertexDiagnostics>],
+    ) {
+        let Some((_, around)) = &self.judging else { return };
+        for ((field, figures), around) in fields.iter().zip(figures).zip(around) {
+            let beyond = rest.iter().zip(figures).filter(|(_, figures)| self.is_beyond(figures));
+            let local = |length: f32| (f64::from(length) / frame.scale) as f32;
+            let noted: Vec<(Vec3, f32)> = beyond
+                .map(|(rest, figures)| (frame.to_local(*rest), local(figures.expected_error)))
+                .collect();
+            around.note(field, &noted);
+        }
+    }
+
+    fn is_beyond(&self, figures: &VertexDiagnostics) -> bool {
+        let expected = f64::from(figures.expected_error) * self.inverse_diagonal;
+        self.judging.as_ref().is_some_and(|(accepted, _)| expected > *accepted)
     }
 
     /// Keeps the findings in a chunk.
     pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
-        if self.files.iter().all(Option::is_none) {
+        if self.versions.iter().all(Option::is_none) {
             return;
         }
-        let surveyed = versions.iter().zip(figures).map(|(version, figures)| {
-            (if figures.is_empty() { Vec::new() } else { version.positions.clone() }, figures)
-        });
+        let is_written =
+            |survey: &Option<Mutex<Survey<'_>>>| survey.as_ref().is_some_and(|s| locked(s).file.is_some());
+        let surveyed =
+            versions.iter().zip(figures).zip(&self.versions).map(|((version, figures), survey)| {
+                (if is_written(survey) { version.positions.clone() } else { Vec::new() }, figures)
+            });
         locked(&self.waiting).insert(first, surveyed.collect());
     }
 
-    /// Writes it.
+    /// Writes the diagnostics of a chunk, and sums them up.
     pub(super) fn write(&self, first: u64) -> Result<()> {
         let surveyed = locked(&self.waiting).remove(&first).unwrap_or_default();
-        for (file, (positions, figures)) in self.files.iter().zip(&surveyed) {
-            if let Some(file) = file {
-                locked(file).write(positions, figures)?;
+        for (survey, (positions, figures)) in self.versions.iter().zip(&surveyed) {
+            let Some(survey) = survey else { continue };
+            let mut survey = locked(survey);
+            for figures in figures {
+                survey.expected.add(f64::from(figures.expected_error) * self.inverse_diagonal, 1);
+                survey.beyond += u64::from(self.is_beyond(figures));
+            }
+            if let Some(file) = &mut survey.file {
+                file.write(positions, figures)?;
             }
         }
         Ok(())
+    }
+
+    /// Sums for the vertices of each version, all of which are written.
+    pub(super) fn finish(self) -> Vec<Option<SurveyedVertices>> {
+        let around = self.judging.map_or_else(Vec::new, |(_, around)| around);
+        let around = around.into_iter().map(ExcessAround::into_lengths).chain(iter::repeat(Vec::new()));
+        let of_version = |(survey, around): (Option<Mutex<Survey<'_>>>, Vec<f32>)| {
+            let Survey { expected, beyond, .. } =
+                survey?.into_inner().unwrap_or_else(PoisonError::into_inner);
+            Some(SurveyedVertices { expected: expected.sum(true), beyond, around })
+        };
+        self.versions.into_iter().zip(around).map(of_version).collect()
     }
 }
 

@@ -1,14 +1,10 @@
 //! Transfer error: the distance of a reconstruction from the exact deformation, over all vertices.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_model::histogram::Histogram;
-use simod_model::{Error, Model, Progress, Result, for_positions, in_step, range_in_step};
+use simod_model::{Error, Model, Progress, Result, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
-
-use super::expectation::ErrorSums;
-use super::{DeformationField, ExpectedError, Moved, carry};
-use crate::sampled_model::SampledModel;
 
 /// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at
 /// rest.
@@ -194,63 +190,4 @@ impl Compared {
             jump: self.jumps.quantile(0.999),
         }
     }
-}
-
-/// Vertices whose error is more than is allowed: their places (local coordinates) and errors (local units).
-pub type Excesses = Vec<(Vec3, f32)>;
-
-/// Largest number of vertices that [`measure_some`] returns.
-pub const MOST_TOLD: usize = 1 << 16;
-
-/// Compares the deformed positions of some vertices by `field`, no more than `most` and chosen at random,
-/// with their exact images; nothing is written, but the positions are rounded as the file does it. The same
-/// vertices each time; [`jump`](TransferError::jump) is 0.
-///
-/// Vertices that are off by more than `beyond`, a fraction of the diagonal, are told, up to [`MOST_TOLD`].
-///
-/// Memory: a chunk of the model, 72 bytes for each of its vertices, and 16 for each that is told.
-///
-/// # Errors
-/// As of [`measure`].
-pub fn measure_some(
-    model: &dyn Model,
-    field: &DeformationField<'_>,
-    of: &SampledModel,
-    (most, beyond): (u64, f64),
-    exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
-    progress: &dyn Progress,
-) -> Result<(TransferError, Excesses)> {
-    let info = model.info();
-    let mut told = Vec::new();
-    progress.begin("measuring some vertices", info.vertex_bytes);
-    let share = most as f64 / info.vertices.max(1) as f64;
-    let is_chosen = |i: u64| share >= 1.0 || xxh3_64(&i.to_le_bytes()) as f64 / (u64::MAX as f64) < share;
-    let scale = 1.0 / of.bounds.diagonal().max(f64::MIN_POSITIVE);
-    let mut errors = ErrorSums::default();
-    let mut count = 0;
-    for_positions(model, |chunk| {
-        progress.check()?;
-        let chosen: Vec<usize> = (0..chunk.len())
-            .filter(|i| is_chosen(chunk.first + *i as u64) && chunk.positions[*i].is_finite())
-            .collect();
-        let rest: Vec<DVec3> = chosen.iter().map(|i| chunk.positions[*i]).collect();
-        let (mut found, mut truth) = (rest.clone(), rest.clone());
-        let moved = Moved { positions: &mut found, normals: &mut [], gradients: &mut [], figures: &mut [] };
-        carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
-        exact(&mut truth)?;
-        for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {
-            // A vertex that does not move is not rounded again.
-            let written = if found == rest { *found } else { info.rounded(*found) };
-            let off = written.distance(*truth);
-            errors.add(off * scale, 1);
-            count += 1;
-            if off * scale > beyond && told.len() < MOST_TOLD {
-                told.push((of.frame.to_local(*rest), (off / of.frame.scale) as f32));
-            }
-        }
-        progress.advance(chunk.raw().len() as u64);
-        Ok(())
-    })?;
-    let ExpectedError { rms, p999, worst: max, .. } = errors.sum(true);
-    Ok((TransferError { vertices: count, rms, p999, max, jump: 0.0 }, told))
 }

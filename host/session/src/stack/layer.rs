@@ -174,6 +174,11 @@ struct LocalStroke {
 }
 
 impl Layer {
+    /// Whether none of it is done, so that it is the identity.
+    pub fn is_off(&self) -> bool {
+        self.share.amount == 0.0
+    }
+
     /// Checks a step at this place of the session. `before` is the layer of the step before it was edited:
     /// the parts that both share are not checked again.
     pub fn build(

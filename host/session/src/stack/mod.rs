@@ -21,7 +21,7 @@ use simod_model::{Progress, Result};
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
-const BLOCK: usize = 4096;
+pub(crate) const BLOCK: usize = 4096;
 
 /// A checked list of deformations, not tied to any samples.
 #[derive(Debug)]
@@ -68,10 +68,11 @@ impl Stack {
     }
 
     /// # Errors
-    /// A step deforms samples alone, so that the map of space is not known; the error names the first such
-    /// step.
+    /// A step whose amount is not 0 deforms samples alone, so that the map of space is not known; the error
+    /// names the first such step.
     pub fn check_evaluable(&self) -> Result<()> {
-        match self.layers.iter().find(|layer| !layer.plugin.capabilities().evaluate) {
+        let is_known = |layer: &Layer| layer.plugin.capabilities().evaluate || layer.is_off();
+        match self.layers.iter().find(|layer| !is_known(layer)) {
             None => Ok(()),
             Some(layer) => Err(located(&layer.place, layer.plugin.samples_only())),
         }
