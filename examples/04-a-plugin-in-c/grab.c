@@ -12,10 +12,10 @@ enum { REACH, FALLOFF, PARAM_COUNT };
 static const SimodChoiceDesc falloffs[] = { { "smooth", "Smooth" }, { "linear", "Linear" } };
 
 static const SimodParamDesc params[PARAM_COUNT] = {
-    [REACH] = { .id = "reach", .name = "Reach", .hint = "How far around the handle things follow",
+    [REACH] = { .id = "reach", .name = "Reach", .hint = "Distance from the handle up to which things follow",
                 .kind = SIMOD_PARAM_FLOAT, .unit = SIMOD_UNIT_DIAGONAL, .hard_range = { 0, 10 },
                 .soft_range = { 0, 1 }, .default_numbers = { 0.2 } },
-    [FALLOFF] = { .id = "falloff", .name = "Falloff", .hint = "How they follow less and less",
+    [FALLOFF] = { .id = "falloff", .name = "Falloff", .hint = "Course by which they follow less and less",
                   .kind = SIMOD_PARAM_CHOICE, .choices = falloffs, .choice_count = 2, .default_text = "smooth" },
 };
 
@@ -28,7 +28,7 @@ static const SimodDescriptor descriptor = {
 
 static const SimodDescriptor *describe(void) { return &descriptor; }
 
-// What `prepare` finds out for all calls of `deform`: where the handles are.
+// Result of `prepare` for all calls of `deform`: the places of the handles.
 typedef struct { double center[3], radius; } Ball;
 typedef struct { size_t count; Ball balls[]; } State;
 

@@ -88,7 +88,7 @@ def tell(job: Job) -> None:
 class Operator(bpy.types.Operator):
     """What all have in common: one job at a time, errors as reports."""
 
-    wait: BoolProperty(name="Wait", description="Until it is done", default=False, options={"HIDDEN"})  # type: ignore[valid-type]
+    wait: BoolProperty(name="Wait", description="Wait until the work is done", default=False, options={"HIDDEN"})  # type: ignore[valid-type]
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if current and not current.is_over:
@@ -127,7 +127,9 @@ class SIMOD_OT_import(Operator):
 
     filepath: StringProperty(name="Model", subtype="FILE_PATH")  # type: ignore[valid-type]
     folder: StringProperty(  # type: ignore[valid-type]
-        name="Folder", description="Of the sampled model; beside the model where none is given", subtype="DIR_PATH"
+        name="Folder",
+        description="Folder of the sampled model; beside the model where none is given",
+        subtype="DIR_PATH",
     )
     preset: EnumProperty(name="Samples", items=PRESETS, default="100000")  # type: ignore[valid-type]
     samples: IntProperty(name="Other", default=50_000, min=4)  # type: ignore[valid-type]
@@ -161,9 +163,9 @@ class SIMOD_OT_write(OfSamples):
     normals: EnumProperty(  # type: ignore[valid-type]
         name="Normals",
         items=[
-            ("transform", "Turn", "They turn with the surface"),
-            ("keep", "Keep", "They keep their bytes"),
-            ("drop", "Drop", "They are left out"),
+            ("transform", "Turn", "Turn the model's normals with the surface"),
+            ("keep", "Keep", "Keep the bytes of the model's normals"),
+            ("drop", "Drop", "Leave the normals out"),
         ],
     )
 

@@ -32,7 +32,7 @@ struct Arguments {
     /// Calls of each sort; the table has their medians
     #[arg(long, default_value_t = 51, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     runs: u32,
-    /// The folder of the program and the plugin [default: that of this program]
+    /// Folder of the program and the plugin [default: that of this program]
     #[arg(long, value_name = "DIR")]
     built: Option<PathBuf>,
 }

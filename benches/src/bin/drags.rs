@@ -39,13 +39,14 @@ struct Arguments {
     /// Pictures of each drag
     #[arg(long, default_value_t = 41, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
-    /// Samples that a picture draws, of which it asks how the surface lies; the window begins with as many
+    /// Number of samples that a picture draws, and asks how the surface lies there; the window begins with as
+    /// many
     #[arg(long, default_value_t = 128_000, value_name = "N")]
     drawn: u32,
-    /// Only rows whose name begins so
+    /// Beginning of the names of the rows to measure
     #[arg(long, default_value = "", value_name = "TEXT")]
     only: String,
-    /// Where the temporary files go
+    /// Folder for temporary files
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

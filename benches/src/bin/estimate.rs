@@ -39,7 +39,7 @@ struct Arguments {
     /// Measure on these models, instead of generated ones
     #[arg(long, num_args = 1.., value_name = "FILE", conflicts_with = "vertices")]
     model: Vec<PathBuf>,
-    /// Where the temporary files go
+    /// Folder for temporary files
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

@@ -28,7 +28,7 @@ struct Arguments {
     /// Vertices of the generated models, in millions
     #[arg(long, value_delimiter = ',', default_value = "2,8,32", value_name = "M,...")]
     millions: Vec<f64>,
-    /// Most cells along an axis, of the coarse grids that are compared
+    /// Largest numbers of cells along an axis of the coarse grids that are compared
     #[arg(long, value_delimiter = ',', default_value = "16,32,64,128,256", value_name = "R,...")]
     grids: Vec<u32>,
     /// Vertices of the model on which grids are compared, in millions [default: the middle one of --millions]
@@ -40,13 +40,13 @@ struct Arguments {
     /// Milliseconds between two looks at the memory
     #[arg(long, default_value_t = 2, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..))]
     interval: u64,
-    /// The program to measure [default: the one beside this program]
+    /// Program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// The folder for the pictures
+    /// Folder for the pictures
     #[arg(long, value_name = "DIR", default_value = "docs")]
     output: PathBuf,
-    /// Where the temporary files go, with room for the largest model
+    /// Folder for temporary files, with room for the largest model
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

@@ -31,10 +31,10 @@ struct Arguments {
     /// Runs of each step; the table has their medians
     #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     runs: u32,
-    /// The program to measure [default: the one beside this program]
+    /// Program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// Where the temporary files go: on the disk to be measured, with room for the largest model twice
+    /// Folder for temporary files, on the disk to be measured, with room for the largest model twice
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

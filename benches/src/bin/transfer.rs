@@ -31,7 +31,7 @@ struct Arguments {
     /// Measure on this model instead of a generated one
     #[arg(long, value_name = "FILE", conflicts_with = "vertices")]
     model: Option<PathBuf>,
-    /// Where the temporary files go
+    /// Folder for temporary files
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

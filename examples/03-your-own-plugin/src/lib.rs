@@ -9,13 +9,13 @@ struct Ripple {
     /// Height of the rings
     #[param(default = 0.02, unit = "diagonal")]
     amplitude: f64,
-    /// From ring to ring
+    /// Distance from ring to ring
     #[param(default = 0.1, unit = "diagonal", hard = 1e-6..=1e6)]
     wavelength: f64,
-    /// Where the drop fell
+    /// Place where the drop fell
     #[param(point, name = "Centre", default = [0.5; 3])]
     center: [f64; 3],
-    /// Where up is
+    /// Direction that is up
     #[param(direction, default = [0.0, 1.0, 0.0])]
     axis: [f64; 3],
 }

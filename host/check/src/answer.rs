@@ -1,4 +1,4 @@
-//! What a plugin under check is told by the host, and answers.
+//! The host as a plugin under check sees it, and the plugin's answers.
 
 use crate::finding::{Checked, Finding};
 use rayon::prelude::*;
@@ -8,24 +8,24 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The host as the plugin under check sees it.
 pub(crate) struct Listener {
-    /// Whether the plugin may go on.
+    /// Whether the host lets the plugin go on.
     go_on: bool,
-    /// How many lines it said.
+    /// Number of lines that the plugin said.
     lines: AtomicUsize,
 }
 
 impl Listener {
-    /// Lets the plugin do its work.
+    /// Host that lets the plugin do its work.
     pub fn patient() -> Self {
         Self { go_on: true, lines: AtomicUsize::new(0) }
     }
 
-    /// Asks the plugin to stop, from the first.
+    /// Host that asks the plugin to stop, from the first call on.
     pub fn impatient() -> Self {
         Self { go_on: false, ..Self::patient() }
     }
 
-    /// How many lines the plugin said.
+    /// Number of lines that the plugin said.
     pub fn lines(&self) -> usize {
         self.lines.load(Ordering::Relaxed)
     }
@@ -48,20 +48,20 @@ impl HostCalls for Listener {
     }
 }
 
-/// A plugin's refusal to answer, with what it says.
+/// Refusal of a plugin to answer, with its message.
 pub(crate) struct PluginRefusal(pub String);
 
-/// An answer, or why there is none.
+/// Answer of a plugin, or its refusal.
 pub(crate) type Answer<T> = Result<T, PluginRefusal>;
 
 impl PluginRefusal {
-    /// The finding where something ordinary is refused: the rule cannot be checked.
+    /// Finding where a plugin refuses ordinary input: the rule cannot be checked.
     pub fn of_ordinary(self) -> Finding {
         Finding::skip(format!("it refuses the ordinary model: {}", self.0))
     }
 }
 
-/// What a call gave: a panic and a stop unasked end the rule, other errors are polite.
+/// Answer of a call: a panic and a stop unasked end the rule, other errors are polite refusals.
 pub(crate) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T>> {
     match result {
         Ok(value) => Ok(Ok(value)),

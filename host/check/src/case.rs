@@ -1,4 +1,5 @@
-//! What a plugin is given: samples, regions, motions and parameters, made the same way each time.
+//! The input of a plugin under check: samples, regions, motions and parameters, made the same way each
+//! time.
 
 use crate::answer::{Listener, PluginRefusal, answer};
 use crate::finding::{Checked, Finding};
@@ -21,7 +22,7 @@ use std::path::Path;
 /// A brush's radius, as a fraction of the diagonal.
 const BRUSH: f64 = 0.1;
 
-/// What other models are called.
+/// Name of all other models.
 const OTHER: &str = "other.ply";
 
 /// Points of another model.
@@ -29,48 +30,48 @@ const OTHER: &str = "other.ply";
 pub(crate) struct Other {
     pub positions: Vec<[f64; 3]>,
     pub normals: Vec<[f32; 3]>,
-    /// None of a model that was sampled for the plugin.
+    /// Ids of the points; none of a model that was sampled for the plugin.
     pub ids: Vec<u64>,
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// All that a plugin is given for one deformation, local coordinates.
+/// Input of a plugin for one deformation, in local coordinates.
 #[derive(Clone)]
 pub(crate) struct Case {
     pub positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     spacing: Vec<f32>,
-    /// Each sample with its two nearest: no surface, but triangles as they may be.
+    /// Triangles of each sample with its two nearest ones: no surface, but triangles as they may be.
     triangles: Vec<[u32; 3]>,
-    /// Where the neighbours of each sample begin, and all of them; nothing if the plugin does not ask for
-    /// them.
+    /// Beginning of each sample's neighbours in the list, and the list of all; nothing if the plugin does
+    /// not ask for neighbours.
     neighbours: Option<(Vec<u32>, Vec<u32>)>,
     pub bounds: simod_plugin_api::Bounds,
     pub regions: Vec<(Role, Vec<f32>)>,
-    /// One for each handle region.
+    /// Motion of each handle region.
     pub transforms: Vec<Affine>,
-    /// Joints where the plugin uses some: ids, places, and what they hang on.
+    /// Joints, if the plugin uses some: ids, places, and the index of each one's parent.
     joints: Vec<(String, [f64; 3], u32)>,
     /// Whether the plugin uses the model's frame.
     frame: bool,
-    /// Where the plugin uses them, a little beside where the samples are now.
+    /// Positions at rest, a little beside the present ones, if the plugin uses them.
     rest: Option<Vec<[f32; 3]>>,
-    /// Where the plugin uses it.
+    /// Time of a sequence, if the plugin uses it.
     time: Option<Time>,
-    /// Names and values, where the plugin uses them.
+    /// Names and values of the samples' attributes, if the plugin uses them.
     pub attributes: Option<Vec<(String, Vec<f32>)>>,
-    /// What all parameters of the plugin that name another model name, if it has such.
+    /// Model that all parameters of the plugin which take another model name, if it has such parameters.
     pub other: Option<Other>,
-    /// The motions of the handles that the plugin placed for these joints, samples and parameters.
+    /// Motions of the handles that the plugin placed for these joints, samples and parameters.
     pub handles: Vec<Affine>,
-    /// The paths of strokes, where the plugin uses some.
+    /// Paths of strokes, if the plugin uses some.
     pub strokes: Vec<Vec<[f64; 3]>>,
     params: LocalParams,
 }
 
 impl Case {
-    /// The given samples with as many regions as the plugin wants, moved handles, and default parameters.
-    /// Normals of zero are estimated, as the host does it.
+    /// Case of the given samples with as many regions as the plugin wants, moved handles, and default
+    /// parameters. Normals of zero are estimated, as the host does.
     pub fn new(plugin: &Plugin, positions: Vec<Vec3>, normals: Vec<Vec3>) -> Checked<Self> {
         let set = SampleSet::new(positions, normals).map_err(|e| Finding::skip(e.to_string()))?;
         let bounds = Bounds::from_points(set.positions.iter().map(|p| p.as_dvec3()));
@@ -109,7 +110,7 @@ impl Case {
         Ok(case)
     }
 
-    /// Moves the handles that the plugin places, each a little otherwise.
+    /// Moves the handles that the plugin places, each by a motion of its own.
     fn move_handles(&mut self, plugin: &Plugin) -> Checked<()> {
         let placed = self.placed_handles(plugin)?;
         let corner = DVec3::from_array;
@@ -130,7 +131,7 @@ impl Case {
         Ok(handles)
     }
 
-    /// This case with all regions and handles at rest, and without strokes.
+    /// Same case with all regions and handles at rest, and without strokes.
     pub fn at_rest(mut self) -> Self {
         self.transforms.fill(Affine::IDENTITY);
         self.handles.fill(Affine::IDENTITY);
@@ -138,34 +139,34 @@ impl Case {
         self
     }
 
-    /// This case at another time of a sequence.
+    /// Same case at another time of a sequence.
     pub fn at_time(mut self, time: Time) -> Self {
         self.time = Some(time);
         self
     }
 
-    /// This case with other attributes: their names, and the value of each for sample `i`.
+    /// Same case with other attributes: their names, and the value of each for sample `i`.
     pub fn with_attributes(mut self, names: &[&str], value: impl Fn(usize) -> f32) -> Self {
         let values: Vec<f32> = (0..self.positions.len()).map(value).collect();
         self.attributes = Some(names.iter().map(|name| ((*name).to_owned(), values.clone())).collect());
         self
     }
 
-    /// This case with another model in the place of those that parameters name, or with none.
+    /// Same case with another model in the place of those that parameters name, or with none.
     pub fn with_other(mut self, other: Option<Other>) -> Self {
         self.params.name_models(if other.is_some() { OTHER } else { "" });
         self.other = other;
         self
     }
 
-    /// A sphere with bumps, of so many samples.
+    /// Case of a sphere with bumps, of so many samples.
     pub fn bumpy_sphere(plugin: &Plugin, count: usize) -> Checked<Self> {
         let (positions, normals) = (0..count).map(|i| bumpy_sphere(i, count)).unzip();
         Self::new(plugin, positions, normals)
     }
 
-    /// This case with other parameters, as a user would write them; those that are not given have their
-    /// defaults.
+    /// Same case with other parameters, as a user would write them; parameters that are not given have
+    /// their defaults.
     pub fn with_params(&self, plugin: &Plugin, given: &toml::Table) -> Checked<Self> {
         let corner = DVec3::from_array;
         let bounds = Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
@@ -174,14 +175,14 @@ impl Case {
         Ok(case)
     }
 
-    /// Whether one preparation is for both cases, which differ in their parameters alone: by what the plugin
-    /// says that these invalidate.
+    /// Whether one preparation is for both cases, which differ in their parameters alone: the plugin says
+    /// which of these invalidate it.
     pub fn is_prepared_as(&self, other: &Self, plugin: &Plugin) -> bool {
         let prepares = |id: &str| plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
         self.params.some(prepares) == other.params.some(prepares)
     }
 
-    /// This case without any sample.
+    /// Same case without any sample.
     pub fn without_samples(mut self) -> Self {
         self.positions.clear();
         self.normals.clear();
@@ -194,8 +195,8 @@ impl Case {
         self
     }
 
-    /// All samples in handles that do the same: as many handles as the plugin needs, each with a part of the
-    /// samples.
+    /// Same case with all samples in handles of one motion: as many handles as the plugin needs, each with
+    /// a part of the samples.
     pub fn all_handles(mut self, handles: usize, transform: Affine) -> Self {
         let count = self.positions.len();
         let part = |h: usize| (0..count).map(|i| f32::from(u8::from(i * handles / count == h))).collect();
@@ -205,7 +206,7 @@ impl Case {
         self
     }
 
-    /// A hash of all bytes that a plugin sees.
+    /// Hash of all bytes that a plugin sees.
     pub fn fingerprint(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
         bytemuck::cast_slice::<_, u8>(&self.positions).hash(&mut hasher);
@@ -253,7 +254,7 @@ impl Case {
         Samples::new(&self.positions, &self.normals, &self.spacing)
     }
 
-    /// Calls with what a preparation gets.
+    /// Calls `call` with the input of a preparation.
     pub fn prepare_input<T>(&self, call: impl FnOnce(&PrepareInput<'_>) -> T) -> T {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
         let params = self.params.views();
@@ -269,7 +270,7 @@ impl Case {
         if !self.joints.is_empty() {
             parts.push(Part::new(&joints));
         }
-        // Georeferenced.
+        // The frame is that of a georeferenced model.
         let frame = ModelFrame { origin: [3e5, 5e6, 100.0], scale: 64.0 };
         if self.frame {
             parts.push(Part::new(&frame));
@@ -287,10 +288,10 @@ impl Case {
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
-    /// Calls with what a deformation gets.
+    /// Calls `call` with the input of a deformation.
     pub fn deform_input<T>(&self, call: impl FnOnce(&DeformInput<'_>) -> T) -> T {
         let params: Vec<Param<'_>> = self.params.views();
-        // Above 0, also where all samples are in one point.
+        // The radius is above 0, also where all samples are in one point.
         let radius = BRUSH * Some(self.bounds.diagonal()).filter(|d| *d > 0.0).unwrap_or(1.0);
         let strokes = self.strokes.iter().enumerate();
         let strokes: Vec<Stroke<'_>> = strokes
@@ -312,14 +313,14 @@ impl Case {
     }
 }
 
-/// A point of a sphere with bumps, whose box has a diagonal between 1 and 2, and the normal there. Points go
+/// Point of a sphere with bumps, whose box has a diagonal between 1 and 2, and the normal there. Points go
 /// round the z axis from one pole to the other, evenly spread.
 fn bumpy_sphere(i: usize, count: usize) -> (Vec3, Vec3) {
     const RADIUS: f64 = 0.5;
     const BUMPS: f64 = 0.05;
     const WAVES: f64 = 5.0;
     let z = 1.0 - 2.0 * (i as f64 + 0.5) / count as f64;
-    // The golden angle.
+    // Points are turned by the golden angle.
     let (sin, cos) = (i as f64 * (3.0 - 5_f64.sqrt()) * std::f64::consts::PI).sin_cos();
     let d = DVec3::new(cos, sin, 0.0) * (1.0 - z * z).max(0.0).sqrt() + DVec3::Z * z;
     let (s, c) = ((d * WAVES).map(f64::sin), (d * WAVES).map(f64::cos));
@@ -351,7 +352,7 @@ fn regions(plugin: &Plugin, count: usize) -> Vec<(Role, Vec<f32>)> {
     (0..fixed + handles).map(region).collect()
 }
 
-/// A colour that changes from sample to sample, as a scan has it, and a quality.
+/// Attributes of the samples: a colour that changes from sample to sample, as a scan has it, and a quality.
 fn colours(count: usize) -> Vec<(String, Vec<f32>)> {
     let values = |step: usize| (0..count).map(|i| (i * step % 256) as f32).collect();
     [("red", 1), ("green", 3), ("blue", 7), ("quality", 11)]
@@ -396,7 +397,7 @@ fn strokes(positions: &[Vec3]) -> Vec<Vec<[f64; 3]>> {
     vec![(0..8).map(|i| at(i * positions.len() / 40)).collect(), vec![at(positions.len() / 2)]]
 }
 
-/// How a handle moves: a turn about an odd axis, and a shift.
+/// Motion of a handle: a turn about an axis along no coordinate, and a shift.
 pub(crate) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
     let centre = bounds.center();
     let axis = DVec3::new(1.0, 2.0, 3.0).normalize_or(DVec3::X);

@@ -1,4 +1,4 @@
-//! Rules on the library and what it says about itself.
+//! Rules on the library and its description of itself.
 
 use crate::answer::answer;
 use crate::finding::{Checked, Finding};
@@ -10,13 +10,13 @@ use simod_session::plugins::{aborts_on_panic, standard_folders};
 use simod_session::{PluginOptions, PluginRegistry};
 use std::path::Path;
 
-/// The library is loaded already: there would be no subject else.
+/// The library loads: without that there would be no subject.
 pub(crate) fn loads(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     Ok(Finding::pass(format!("{} {}", plugin.id(), plugin.version())))
 }
 
-/// Whether the host would not use a plugin that describes itself so.
+/// Whether the host would not use a plugin with this description.
 pub(crate) fn is_wrong(subject: &Subject) -> bool {
     wrong(subject.plugin.descriptor()).is_some()
 }
@@ -45,7 +45,7 @@ pub(crate) fn descriptor(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("{} parameters", descriptor.params.len())))
 }
 
-/// Nothing of what users read does anything to a terminal, and all of it is as long as it may be.
+/// No text for users has an effect on a terminal, and each is as long as it may be.
 pub(crate) fn texts(subject: &Subject) -> Checked<Finding> {
     let descriptor = subject.plugin.descriptor();
     if let Err(what) = limits::check(descriptor) {
@@ -57,7 +57,7 @@ pub(crate) fn texts(subject: &Subject) -> Checked<Finding> {
         let hint = "write one line of plain text, without line breaks, tabs and escape sequences";
         return Err(Finding::fail(format!("{what} has a character U+{:04X} in it", u32::from(raw)), hint));
     }
-    /// What is longer does not stand in one line.
+    /// Most characters of a text that is read in one line.
     const LINE: usize = 500;
     if let Some((text, what)) = texts.iter().find(|(text, _)| text.chars().count() > LINE) {
         let found = format!("{what} is {} characters long", text.chars().count());
@@ -78,7 +78,7 @@ pub(crate) fn unwinds(file: &Path) -> Finding {
     }
 }
 
-/// Nobody who installs the plugin loses one that came with the program.
+/// The plugin's id is none of those that came with the program, so that nobody who installs it loses one.
 pub(crate) fn own_id(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     let shipped = standard_folders().into_iter().filter(|folder| folder.shipped).collect();
@@ -93,7 +93,7 @@ pub(crate) fn own_id(subject: &Subject) -> Checked<Finding> {
     }
 }
 
-/// What is wrong with a description.
+/// Defect of a description, in words.
 fn wrong(descriptor: &Descriptor) -> Option<String> {
     if let Err(what) = check_description(descriptor) {
         return Some(what);
@@ -112,7 +112,7 @@ fn wrong(descriptor: &Descriptor) -> Option<String> {
     descriptor.params.iter().find_map(wrong_choices)
 }
 
-/// What is wrong with a choice's alternatives.
+/// Defect of a choice's alternatives, in words.
 fn wrong_choices(d: &ParamDesc) -> Option<String> {
     if let Some(choice) = d.choices.iter().find(|c| !is_id(&c.id)) {
         return Some(format!("parameter `{}` has a choice `{}`, which is not kebab-case", d.id, choice.id));
@@ -121,7 +121,7 @@ fn wrong_choices(d: &ParamDesc) -> Option<String> {
     twice.map(|(_, c)| format!("parameter `{}` has two choices `{}`", d.id, c.id))
 }
 
-/// What a parameter's description could tell besides.
+/// Text that a parameter's description lacks, in words.
 fn lacking(d: &ParamDesc) -> Option<String> {
     if d.name.trim().is_empty() {
         return Some(format!("parameter `{}` has no name", d.id));

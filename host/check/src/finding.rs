@@ -1,16 +1,16 @@
-//! What a rule found of a plugin.
+//! The finding of a rule on a plugin.
 
 use serde::{Deserialize, Serialize};
 
-/// How a plugin did on a rule.
+/// Verdict of a rule on a plugin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// As it should be.
+    /// The rule is kept.
     Pass,
     /// The rule is broken.
     Fail,
-    /// Not wrong, and not as good as it could be.
+    /// The plugin is not wrong, and not as good as it could be.
     Warn,
     /// The rule does not apply, or something else is in the way.
     Skip,
@@ -32,29 +32,29 @@ impl std::fmt::Display for Verdict {
 pub struct Finding {
     /// The verdict on the plugin.
     pub verdict: Verdict,
-    /// One line on what was found.
+    /// Result of the check, in one line.
     pub found: String,
-    /// What to do about it, in one line; may be empty.
+    /// Advice, in one line; may be empty.
     pub hint: String,
 }
 
 impl Finding {
-    /// The rule is broken.
+    /// Finding that the rule is broken.
     pub fn fail(found: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { verdict: Verdict::Fail, found: found.into(), hint: hint.into() }
     }
 
-    /// A finding that all is as it should be.
+    /// Finding that the rule is kept.
     pub fn pass(found: impl Into<String>) -> Self {
         Self { verdict: Verdict::Pass, found: found.into(), hint: String::new() }
     }
 
-    /// Not wrong, and not as good as it could be.
+    /// Finding that the plugin is not wrong, and not as good as it could be.
     pub fn warn(found: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { verdict: Verdict::Warn, found: found.into(), hint: hint.into() }
     }
 
-    /// The rule does not apply.
+    /// Finding that the rule does not apply.
     pub fn skip(found: impl Into<String>) -> Self {
         Self { verdict: Verdict::Skip, found: found.into(), hint: String::new() }
     }

@@ -17,7 +17,7 @@ pub(crate) const ORDINARY: usize = 2000;
 /// Samples where a rule tries many cases.
 pub(crate) const FEW: usize = 500;
 
-/// How far away samples are that lie far outside, in units of the diagonal.
+/// Distance of samples that lie far outside, in units of the diagonal.
 const FAR: f32 = 1e6;
 
 pub(crate) fn one_sample(subject: &Subject) -> Checked<Finding> {
@@ -42,7 +42,7 @@ pub(crate) fn flat(subject: &Subject) -> Checked<Finding> {
     points(subject, (0..400).map(at).collect())
 }
 
-/// Not unusual at all but for the number: who refuses it is of little use.
+/// A large number of samples is not refused: a plugin that refuses such an ordinary input is of little use.
 pub(crate) fn large(subject: &Subject) -> Checked<Finding> {
     Ok(match subject.run(&Case::bumpy_sphere(&subject.plugin, LARGE)?)? {
         Ok(_) => Finding::pass("finite"),
@@ -53,7 +53,7 @@ pub(crate) fn large(subject: &Subject) -> Checked<Finding> {
     })
 }
 
-/// As after layers that sent the samples away: the box is that of the model at rest.
+/// Coordinates are huge, as after layers that sent the samples away: the box is that of the model at rest.
 pub(crate) fn huge_coordinates(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let away = FAR * case.bounds.diagonal() as f32;
@@ -79,7 +79,7 @@ pub(crate) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
     case.regions.iter_mut().for_each(|(_, w)| w.clone_from(&weights));
     if case.regions.len() == 1 {
         case.regions.push(case.regions[0].clone());
-        // Twice the same motion would be no contradiction.
+        // Motions that are the same would be no contradiction.
         case.transforms.extend(case.transforms.first().map(|t| {
             let mut other = *t;
             other.rows.iter_mut().for_each(|row| row[3] += 0.1);
@@ -89,20 +89,21 @@ pub(crate) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
     survives(subject, &case)
 }
 
-/// A case without any sample. No host gives that, and no plugin has to expect it.
+/// A case without any sample harms nothing. No host gives such input, and no plugin has to expect it.
 pub(crate) fn no_samples(subject: &Subject) -> Checked<Finding> {
     let case = Case::new(&subject.plugin, vec![Vec3::ZERO, Vec3::ONE], Vec::new())?.without_samples();
     tolerates(subject, &case)
 }
 
-/// A case with a position that is not a number. No host gives that, either.
+/// A case with a position that is not a number harms nothing. No host gives such input, either.
 pub(crate) fn not_a_number(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     case.positions[ORDINARY / 3] = [f32::NAN, f32::INFINITY, 0.0];
     tolerates(subject, &case)
 }
 
-/// Whether the plugin comes back from input that it was promised not to get; with what does not matter.
+/// Checks that the plugin comes back from input that it was promised not to get; its result does not
+/// matter.
 fn tolerates(subject: &Subject, case: &Case) -> Checked<Finding> {
     let (code, host) = (subject.plugin.code(), Listener::patient());
     let run = || {
@@ -131,8 +132,8 @@ fn survives(subject: &Subject, case: &Case) -> Checked<Finding> {
     }))
 }
 
-/// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite
-/// error.
+/// Prepares, deforms, and evaluates at the samples, where the plugin can evaluate: the answer is finite
+/// positions or a polite error.
 pub(crate) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
     match subject.prepare(case)? {
         Ok(state) => calls_with(subject, case, &state),

@@ -1,8 +1,8 @@
-//! Rules that every plugin has to keep, and what becomes of one rule for one library.
+//! Rules that every plugin has to keep, and the check of one rule for one library.
 //!
-//! A rule calls foreign code in ways that may end the process: whoever checks a plugin that it does not trust
-//! runs each rule in a process of its own (as `simod plugin check` does), and takes what is left of it for an
-//! answer.
+//! A rule calls foreign code in ways that may end the process: a program that checks a plugin which it does
+//! not trust runs each rule in a process of its own (as `simod plugin check` does), and takes the end of
+//! that process for an answer.
 
 mod answer;
 mod case;
@@ -28,21 +28,21 @@ use subject::Subject;
 pub struct Rule {
     /// Stable id, kebab-case.
     pub id: &'static str,
-    /// What it asks of a plugin.
+    /// Demand of the rule on a plugin.
     pub asks: &'static str,
     run: fn(&Subject) -> Checked<Finding>,
 }
 
-/// The rule that is checked first: where it is broken, there is nothing to ask by others.
+/// Id of the rule that is checked first: where it is broken, no other rule can be asked.
 pub const LOADS: &str = "loads";
 
-/// The rule on the description, without which plugins are not used.
+/// Id of the rule on the description, without which plugins are not used.
 const DESCRIPTOR: &str = "descriptor";
 
-/// The rule on the description's texts, which can be asked of a wrong one too.
+/// Id of the rule on the description's texts, which can be checked of a wrong description, too.
 const TEXTS: &str = "texts";
 
-/// The rule on the library's file alone.
+/// Id of the rule on the library's file alone.
 const UNWINDS: &str = "unwinds";
 
 /// All rules, in the order to check them.
@@ -112,10 +112,10 @@ pub fn rule(id: &str) -> Result<&'static Rule> {
 
 /// Checks a library against one rule. `seed` determines all that is random.
 ///
-/// The library stays loaded; and what it does to this process, nobody knows.
+/// The library stays loaded, and its effects on this process are unknown.
 pub fn check_rule(file: &Path, rule: &Rule, seed: u64) -> Finding {
     if rule.id == UNWINDS {
-        // None of it needs to run.
+        // The rule does not run the library.
         return description::unwinds(file);
     }
     let plugin = match load_unchecked(file) {

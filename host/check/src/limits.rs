@@ -1,4 +1,4 @@
-//! Rules on time and talk.
+//! Rules on time, and on the number of lines that a plugin says.
 
 use crate::answer::{Listener, PluginRefusal, answer, panicked};
 use crate::case::Case;
@@ -8,16 +8,16 @@ use crate::subject::{Subject, unwritten};
 use simod_plugin_api::{ErrorCode, PluginResult};
 use std::time::{Duration, Instant};
 
-/// Within this time a plugin should have stopped.
+/// Time within which a plugin should have stopped.
 const PROMPT: Duration = Duration::from_secs(1);
 
-/// After this time a plugin does not listen.
+/// Time after which a plugin counts as deaf to the wish to stop.
 const DEAF: Duration = Duration::from_secs(2);
 
-/// What a plugin does that stops in time.
+/// Advice on how a plugin stops in time.
 const LISTEN: &str = "ask the host's `progress` every 100 ms, and return its error";
 
-/// The longest deformation that feels as if it went on all the time.
+/// Longest deformation that feels as if the motion was continuous.
 const INTERACTIVE: Duration = Duration::from_millis(100);
 
 /// Lines of a call that somebody may read.
@@ -63,7 +63,8 @@ pub(crate) fn cancel(subject: &Subject) -> Checked<Finding> {
     Ok(if time > PROMPT { Finding::warn(text, LISTEN) } else { Finding::pass(text) })
 }
 
-/// What a call gave that was asked to stop: its result, where it finished all the same. Any error will do.
+/// Outcome of a call that was asked to stop: its result, where the call finished all the same. Any error
+/// but a panic will do.
 fn stopped<T>(call: &str, result: PluginResult<T>) -> Checked<Option<T>> {
     match result {
         Err(error) if error.code == ErrorCode::PANICKED => Err(panicked(call, &error)),
@@ -103,7 +104,7 @@ pub(crate) fn log(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("at most {lines} lines a call")))
 }
 
-/// The shortest of a few deformations, as other programs take their time too.
+/// The shortest of a few deformations is quick; there are a few, as other programs take their time, too.
 pub(crate) fn latency(subject: &Subject) -> Checked<Finding> {
     const TIMES: usize = 5;
     let case = Case::bumpy_sphere(&subject.plugin, LARGE)?;

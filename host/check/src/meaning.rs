@@ -1,4 +1,4 @@
-//! Rules on what a deformation means: nothing for nothing, the same for the same.
+//! Rules on the meaning of a deformation: no motion gives no motion, the same input the same result.
 
 use crate::answer::{PluginRefusal, answer};
 use crate::case::{Case, Other, motion};
@@ -10,21 +10,22 @@ use simod_model::bounds::Bounds;
 use simod_plugin_api::Time;
 use simod_session::stack::rows;
 
-/// How far a rigid motion may be missed, in units of the diagonal.
+/// Greatest distance from the image by a rigid motion, in units of the diagonal.
 const RIGID: f64 = 1e-4;
 
-/// How far the map of space may be from the samples, in units of the diagonal.
+/// Greatest distance between the map of space and the samples, in units of the diagonal.
 const AGREES: f64 = 1e-5;
 
 /// Threads that deform with one state at once.
 const THREADS: usize = 4;
 
-/// Positions as bits: what is the same is the same to the last.
+/// Positions as bits: equal results are equal to the last bit.
 fn bits(positions: &[[f32; 3]]) -> Vec<[u32; 3]> {
     positions.iter().map(|p| p.map(f32::to_bits)).collect()
 }
 
-/// Where two results differ in any bit: how many positions do, and which one is the first.
+/// Difference of two results in any bit, in words: the number of positions that differ, and the first of
+/// them; nothing where none do.
 pub(crate) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
     let (a, b) = (bits(a), bits(b));
     let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
@@ -66,7 +67,7 @@ pub(crate) fn identity(subject: &Subject) -> Checked<Finding> {
     ))
 }
 
-/// Whether the plugin itself says that it does something here.
+/// Whether the plugin itself says that it moves something here.
 fn says_that_it_moves(subject: &Subject, case: &Case) -> Checked<bool> {
     let plugin = &subject.plugin;
     if !plugin.capabilities().is_identity {
@@ -98,7 +99,7 @@ pub(crate) fn rigid(subject: &Subject) -> Checked<Finding> {
     let (_, positions) = subject.run_ordinary(&case)?;
     let left = case.positions.iter().zip(&positions).filter(|(p, q)| p == q).count();
     if left > 0 {
-        // Each handle has a reach, beyond which nothing follows: then nothing moves as a whole.
+        // Where each handle has a reach beyond which nothing follows, nothing moves as a whole.
         let all = positions.len();
         return Ok(Finding::skip(format!("{left} of {all} samples are out of the handles' reach")));
     }
@@ -137,7 +138,7 @@ pub(crate) fn repeatable(subject: &Subject) -> Checked<Finding> {
     }
     let one = || -> Checked<()> {
         let mut scratch = subject.scratch()?;
-        // The second time with a scratch that was used before.
+        // The second call uses a scratch that was used before.
         for _ in 0..2 {
             let positions =
                 subject.deform(&case, &state, &mut scratch)?.map_err(PluginRefusal::of_ordinary)?;
@@ -262,8 +263,8 @@ pub(crate) fn is_identity(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass("what it says holds"))
 }
 
-/// A plugin that takes the time deforms at any, and at the same one always in the same way, whatever was
-/// between.
+/// A plugin that takes the time deforms at any time, and at the same one always in the same way, whatever
+/// was done between.
 pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if !subject.plugin.consumes().time {
@@ -292,7 +293,8 @@ pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
     })
 }
 
-/// A plugin that takes attributes of the samples does without them, and with values that it does not expect.
+/// A plugin that takes attributes of the samples works without them, and with values that it does not
+/// expect.
 pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let Some(usual) = case.attributes.clone() else {
@@ -315,7 +317,7 @@ pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
     Ok(if moved > 0 { Finding::pass("it moves with them") } else { Finding::pass("they make no difference") })
 }
 
-/// A plugin that takes other models does without them, and with any.
+/// A plugin that takes other models works without them, and with any.
 pub(crate) fn other_models(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
     let Some(usual) = case.other.clone() else {
@@ -337,7 +339,8 @@ pub(crate) fn other_models(subject: &Subject) -> Checked<Finding> {
         few(FEW / 2),
         Some(Other { ids: Vec::new(), triangles: Vec::new(), ..usual.clone() }),
         Some(Other { ids: usual.ids.iter().map(|id| u64::MAX - id).collect(), ..usual.clone() }),
-        // All in one place; in a plane; turned inside out; in another unit; elsewhere; as far as numbers go.
+        // The points are all in one place; in a plane; turned inside out; in another unit; elsewhere; as
+        // far as numbers go.
         of(&|_| [0.5; 3]),
         of(&|[x, y, _]| [x, y, 0.0]),
         of(&|[x, y, z]| [-x, y, z]),

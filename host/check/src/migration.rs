@@ -9,8 +9,8 @@ use simod_session::params::check_migration;
 use simod_session::step::Deformation;
 use simod_session::{Migration, Plugin, is_plugins_bug};
 
-/// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
-/// become what the plugin takes; always the same, and nothing of what they become is changed once more.
+/// Sessions of all versions that give no parameter, or every one by its default and by each former name,
+/// become sessions of today; always the same, and today's sessions are not changed once more.
 pub(crate) fn migration(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if let Some(what) = plugin.migration().and_then(|m| check_migration(plugin.descriptor(), m).err()) {
@@ -90,12 +90,14 @@ enum Brought {
 /// Brings a step up to its plugin, more than once.
 ///
 /// # Errors
-/// The defect of a step that comes of it.
+/// The plugin fails by a mistake of its own; the migrated step differs from time to time, or is migrated once
+/// more.
 fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
     let brought = |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
     let first = match brought(step) {
         Ok(first) => first,
-        // What old defaults were, nobody knows here: it may refuse what it cannot understand.
+        // The values of old defaults are unknown here: the plugin may refuse a setting that it cannot
+        // understand.
         Err(e) if !is_plugins_bug(&e) => return Ok(Brought::Refused(e.to_string())),
         Err(e) => return Err(e.to_string()),
     };
@@ -108,7 +110,7 @@ fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
     Ok(Brought::Same)
 }
 
-/// Versions that are tried, besides the first.
+/// Number of versions that are tried, besides the first.
 const VERSIONS: usize = 50;
 
 const HINT: &str = "see `Migrate` in simod-plugin-api";

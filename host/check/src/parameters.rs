@@ -1,4 +1,5 @@
-//! Rules on parameters: any value in range is answered, and the preparation depends on what it says it does.
+//! Rules on parameters: any value in range is answered, and the preparation depends on the declared
+//! parameters alone.
 
 use crate::answer::PluginRefusal;
 use crate::case::Case;
@@ -10,14 +11,14 @@ use crate::subject::Subject;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
 
-/// Assignments of random values.
+/// Number of settings with random values.
 const RANDOM: usize = 32;
 
-/// Other values that are tried of a parameter that does not invalidate the preparation.
+/// Number of other values that are tried of a parameter that does not invalidate the preparation.
 const CHANGES: usize = 4;
 
-/// Settings that do not invalidate the preparation of the defaults are tried with that one, as in a session:
-/// preparing with them is of the rule on [invalidation].
+/// Any setting in range is answered. Settings that do not invalidate the preparation of the defaults are
+/// tried with that one, as in a session: preparing with them is the subject of the rule on [invalidation].
 pub(crate) fn bounds(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if plugin.params().is_empty() {
@@ -44,7 +45,7 @@ pub(crate) fn bounds(subject: &Subject) -> Checked<Finding> {
     for given in &tables {
         match try_with(given) {
             Ok(Ok(())) => {}
-            // Where its handles cannot be placed with these, that is a refusal as any other.
+            // Handles that cannot be placed with these parameters are a refusal as any other.
             Ok(Err(PluginRefusal(why))) | Err(Finding { verdict: Verdict::Skip, found: why, .. }) => {
                 refused.push(format!("{} ({why})", text(given)));
             }
@@ -75,7 +76,7 @@ pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
         for value in ends(d).into_iter().chain((0..CHANGES).map(|_| any(d, &mut random))) {
             let given = one(d, value);
             let changed = case.with_params(plugin, &given)?;
-            // What is refused when all is new is no result to compare with.
+            // A setting that is refused with a new preparation gives no result to compare with.
             let Ok((_, fresh)) = subject.run(&changed)? else { continue };
             let what = match subject.deform(&changed, &old, &mut subject.scratch()?)? {
                 Ok(kept) => difference(&fresh, &kept),
@@ -96,7 +97,7 @@ pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("{compared} changes of {} parameters need no new preparation", free.len())))
 }
 
-/// The ends of each parameter's range, and values of all at random.
+/// Settings of each parameter at the ends of its range, and settings of all parameters at random.
 fn settings(subject: &Subject) -> Vec<toml::Table> {
     let params = subject.plugin.params();
     let mut random = Random::new(subject.seed);
@@ -118,7 +119,7 @@ fn text(given: &toml::Table) -> String {
     given.iter().map(|(id, value)| format!("{id} = {value}")).collect::<Vec<_>>().join(", ")
 }
 
-/// The values at the ends of a parameter's range, or all that there are.
+/// Values at the ends of a parameter's range, or all values if these are few.
 fn ends(d: &ParamDesc) -> Vec<Value> {
     let vectors = |all: &[[f64; 3]]| all.iter().map(|v| vector(*v)).collect();
     match d.kind {
@@ -130,7 +131,7 @@ fn ends(d: &ParamDesc) -> Vec<Value> {
         }
         ParamKind::COLOUR => vec![numbers(&[0.0; 4]), numbers(&[1.0; 4])],
         ParamKind::CURVE => vec![curve(&[0.0, 0.0]), curve(&[1.0, 1.0]), curve(&[0.0, 1.0, 0.0, 1.0])],
-        // None is all that is known of files; what is in others is another rule's.
+        // The only file that is known here is none; the content of files is another rule's subject.
         ParamKind::FILE | ParamKind::MODEL => vec!["".into()],
         _ => vectors(&[[0.0; 3], [-1.0; 3], [1e6, 0.0, -1e6]]),
     }
@@ -142,7 +143,7 @@ fn any(d: &ParamDesc, random: &mut Random) -> Value {
         ParamKind::FLOAT | ParamKind::INT => {
             let [min, max] = range(d);
             let about = d.default_numbers.first().copied().unwrap_or(0.0);
-            // Where there is no end, some way from the default, or from the other end.
+            // A range without an end ends some way from the default, or from the other end.
             let min = min.unwrap_or_else(|| about.min(max.unwrap_or(about)) - 10.0);
             let max = max.unwrap_or_else(|| about.max(min) + 10.0);
             number(d, random.within([min, max]))
@@ -159,12 +160,12 @@ fn any(d: &ParamDesc, random: &mut Random) -> Value {
     }
 }
 
-/// The ends of a parameter's range: the hard one, the slider's where that has none, or nothing.
+/// Ends of a parameter's range: the hard one, or else the slider's, or nothing.
 fn range(d: &ParamDesc) -> [Option<f64>; 2] {
     std::array::from_fn(|i| [d.hard_range[i], d.soft_range[i]].into_iter().find(|x| x.is_finite()))
 }
 
-/// A number of the parameter's kind. Whole numbers stay within the range by rounding inwards.
+/// Number of the parameter's kind. Whole numbers stay within the range by rounding inwards.
 fn number(d: &ParamDesc, x: f64) -> Value {
     if d.kind != ParamKind::INT {
         return x.into();

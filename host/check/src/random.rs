@@ -19,19 +19,19 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// From 0 to 1, without 1.
+    /// Random number from 0 to 1, without 1.
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Within a finite range.
+    /// Random number within a finite range.
     pub fn within(&mut self, [min, max]: [f64; 2]) -> f64 {
         // The difference of the ends may be more than a number holds.
         let t = self.unit();
         ((1.0 - t) * min + t * max).clamp(min, max)
     }
 
-    /// Below a count, which is not 0.
+    /// Random whole number below a count, which is not 0.
     pub fn below(&mut self, count: usize) -> usize {
         ((self.unit() * count as f64) as usize).min(count.saturating_sub(1))
     }

@@ -6,34 +6,34 @@ use crate::finding::{Checked, Finding};
 use simod_plugin_api::{Scratch, State};
 use simod_session::deformer::{Plugin, is_usable};
 
-/// What a position is before it is written: a NaN that no computation gives.
+/// Content of a position before it is written: a NaN that no computation gives.
 const UNWRITTEN: f32 = f32::from_bits(0x7fc5_1d0d);
 
 /// A plugin under check.
 pub(crate) struct Subject {
     pub plugin: Plugin,
-    /// Determines all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
 impl Subject {
-    /// Checks this plugin.
+    /// Subject for this plugin.
     pub fn new(plugin: Plugin, seed: u64) -> Self {
         Self { plugin, seed }
     }
 
-    /// Prepares.
+    /// Prepares the case.
     pub fn prepare(&self, case: &Case) -> Checked<Answer<State>> {
         answer("prepare", case.prepare_input(|input| self.plugin.code().prepare(input, &Listener::patient())))
     }
 
-    /// Working memory.
+    /// Makes working memory of the plugin.
     pub fn scratch(&self) -> Checked<Scratch> {
         answer("new_scratch", self.plugin.code().new_scratch())?
             .map_err(|PluginRefusal(what)| Finding::fail(format!("it has no working memory: {what}"), ""))
     }
 
-    /// Deforms with a state: positions that are all written and finite.
+    /// Deforms with a state, and returns the positions, which are all written and finite.
     pub fn deform(
         &self,
         case: &Case,
@@ -60,13 +60,12 @@ impl Subject {
         Ok(positions.map(|positions| (state, positions)))
     }
 
-    /// As [`run`](Self::run), of a case that there is no reason to refuse: nothing more can be said where it
-    /// is.
+    /// As [`run`](Self::run), of a case that there is no reason to refuse: a refusal ends the rule.
     pub fn run_ordinary(&self, case: &Case) -> Checked<(State, Vec<[f32; 3]>)> {
         self.run(case)?.map_err(PluginRefusal::of_ordinary)
     }
 
-    /// The images of points, finite; nothing where the plugin knows the samples' alone.
+    /// Images of points, which are finite; nothing where the plugin maps the samples alone.
     pub fn evaluate(
         &self,
         case: &Case,

@@ -14,31 +14,31 @@ use simod_model::{Error, Progress};
 /// The exit code of a program that was stopped.
 pub const CANCELLED: i32 = 130;
 
-/// How long work that is asked to stop may not even look whether it is.
+/// Time within which work that is asked to stop has to look whether it is.
 const DEAF: Duration = Duration::from_secs(1);
 
-/// How long it may take to stop then.
+/// Time that the work may take to stop after that.
 const SLOW: Duration = Duration::from_secs(10);
 
-/// How often a line of progress is printed.
+/// Time between two lines of progress.
 const PAUSE: Duration = Duration::from_millis(250);
 
-/// How often a bar is drawn, and told the memory.
+/// Time between two drawings of the bar, and between two looks at the memory.
 const TICK: Duration = Duration::from_millis(100);
 
-/// How progress is shown on standard error.
+/// Form of the progress on standard error.
 #[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Show {
     /// A bar, where standard error is a terminal
     #[default]
     Auto,
-    /// Lines, for programs and logs: stage, part done, bytes a second
+    /// Lines for programs and logs: stage, percentage done, bytes per second
     Lines,
-    /// Nothing
+    /// No progress
     None,
 }
 
-/// Whether the user asked to stop, and somebody knows of it.
+/// The user's wish to stop, and whether the work knows of it.
 #[derive(Default)]
 struct Wish {
     cancelled: AtomicBool,
@@ -57,15 +57,16 @@ struct Stages {
     show: Show,
     bar: Option<ProgressBar>,
     told: Option<Instant>,
-    /// When the bar was last told the memory.
+    /// Time when the bar was last told the memory.
     measured: Option<Instant>,
     current: Option<(&'static str, Instant)>,
     done: Vec<(&'static str, Duration)>,
 }
 
 impl Console {
-    /// Takes over Ctrl-C and its kin: the first asks the work to stop, the second ends the process. So does
-    /// the first where nobody listens, as in a library that is being loaded.
+    /// Takes over Ctrl-C and signals like it: the first asks the work to stop, the second ends the process.
+    /// The first one ends the process, too, if the work does not look for it, as in a library that is being
+    /// loaded.
     pub fn new() -> Self {
         let wish = Arc::new(Wish::default());
         let (for_signals, watched) = (wish.clone(), wish.clone());
@@ -75,7 +76,7 @@ impl Console {
         Self { wish, memory: MemoryWatch::start(), stages: Mutex::default() }
     }
 
-    /// The console of a process that works for another one, which asks it to stop by other ways.
+    /// The console of a process that works for another one, which asks it to stop by other means.
     pub fn of_worker() -> Self {
         let _ = signals::ignore_interrupt();
         Self { wish: Arc::default(), memory: MemoryWatch::start(), stages: Mutex::default() }
@@ -91,18 +92,18 @@ impl Console {
         self.memory.peak()
     }
 
-    /// Ends the current stage; the time that each one took so far.
+    /// Ends the current stage, and returns the time of each stage so far.
     pub fn stages(&self) -> Vec<(&'static str, Duration)> {
         let mut stages = self.locked();
         stages.end();
         stages.done.clone()
     }
 
-    /// Prints an error: what is wrong, and what to do about it.
+    /// Prints an error with its advice.
     pub fn error(&self, error: &Error) {
         self.stages();
         let mut err = std::io::stderr().lock();
-        // Nothing is left to tell it to where standard error is closed.
+        // An error has nowhere to be told where standard error is closed.
         let _ = writeln!(err, "error: {}\nhint: {}", line(&error.to_string()), line(error.hint()));
     }
 
@@ -139,7 +140,7 @@ impl Wish {
         }
     }
 
-    /// Sees to it that the work stops once it was asked to.
+    /// Ends the process if the work does not stop in time after it was asked to.
     fn watch(&self) {
         while !self.cancelled.load(Ordering::Relaxed) {
             std::thread::park();
@@ -154,8 +155,8 @@ impl Wish {
     }
 }
 
-/// Starts a thread, and waits until it runs: one that begins while a library loads waits in the C library
-/// until that is done.
+/// Starts a thread, and waits until it runs: a thread that begins while a library loads waits in the C
+/// library until that is done.
 fn start(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<std::thread::Thread> {
     let (running, runs) = std::sync::mpsc::channel();
     let thread = std::thread::Builder::new().name(name.into()).spawn(move || {
@@ -166,10 +167,10 @@ fn start(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<st
     Ok(thread.thread().clone())
 }
 
-/// Ends the process, without what it is writing.
+/// Ends the process, without the outputs that it is writing.
 fn leave() -> ! {
     simod_model::claim::abandon_all();
-    // At once: to end in order, the C library waits for libraries that are being loaded.
+    // The end is at once: to end in order, the C library waits for libraries that are being loaded.
     #[cfg(unix)]
     signal_hook::low_level::exit(CANCELLED);
     #[cfg(not(unix))]
@@ -182,19 +183,20 @@ mod signals {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::iterator::Signals;
 
-    /// Calls `told` for each of them, with whether it is to end the process at once.
+    /// Calls `told` for each of these signals, with whether the process is to end at once.
     pub fn listen(told: impl Fn(bool) + Send + 'static) -> std::io::Result<()> {
         let ignored = ignored();
         let is_wanted = |signal: &i32| {
-            // As `nohup` and shells ask for: who ignores a limit on files hears of it by the write that
-            // fails.
+            // Ignored signals stay ignored, as `nohup` and shells ask for: a process that ignores a limit
+            // on files hears of the limit by the write that fails.
             ![SIGHUP, SIGXFSZ].contains(signal) || ignored.is_some_and(|set| (set >> (signal - 1)) & 1 == 0)
         };
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGXFSZ].into_iter().filter(is_wanted))?;
         let wait = move || {
             let mut before = false;
             for signal in signals.forever() {
-                // Each write beyond the limit sends one.
+                // Each write beyond the limit on files sends the signal, so that a second one means
+                // nothing.
                 told(before && signal != SIGXFSZ);
                 before |= signal != SIGXFSZ;
             }
@@ -202,7 +204,7 @@ mod signals {
         crate::console::start("signals", wait).map(drop)
     }
 
-    /// The terminal sends Ctrl-C to all processes; this one is not meant.
+    /// Ignores Ctrl-C, which the terminal sends to all processes and which is not meant for this one.
     pub fn ignore_interrupt() -> std::io::Result<()> {
         let mut signals = Signals::new([SIGINT])?;
         crate::console::start("signals", move || signals.forever().for_each(drop)).map(drop)
@@ -251,7 +253,7 @@ impl Stages {
         self.told = None;
     }
 
-    /// Prints how far the stage is, where lines are wanted and none was printed for a while.
+    /// Prints the progress of the stage, where lines are wanted and none was printed for a while.
     fn line(&mut self) {
         if self.show != Show::Lines || self.told.is_some_and(|last| last.elapsed() < PAUSE) {
             return;
@@ -301,7 +303,8 @@ impl Progress for Console {
         stages.line();
         if let (Some(bar), Some((stage, _))) = (&stages.bar, stages.current) {
             bar.inc(bytes);
-            // Seldom, and only where somebody sees it: the system takes longer to tell than a chunk does.
+            // The memory is read seldom, and only where somebody sees it: the system takes longer to tell
+            // than a chunk does.
             let is_due = stages.measured.is_none_or(|last| last.elapsed() >= TICK);
             if is_due
                 && !bar.is_hidden()

@@ -18,18 +18,21 @@ use commands::{
 use console::{CANCELLED, Console, Show};
 use report::Report;
 
-/// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream
-/// the deformation back onto every vertex.
+/// Deform models of any size by a small set of samples
+///
+/// `simod sample` streams a model to a small set of samples, `simod deform` moves these with any mix of
+/// plugins, and `simod reconstruct` streams the deformation back onto every vertex. `simod run` does all
+/// three as a session says.
 #[derive(Parser)]
 #[command(version, propagate_version = true, max_term_width = 100)]
 struct Arguments {
     /// Print one JSON object on standard output instead of text
     #[arg(long, global = true)]
     json: bool,
-    /// Use this many threads, at most 1024 (default: all cores)
+    /// Number of threads, from 1 to 1024 [default: one for each core]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// How progress is shown on standard error
+    /// Form of the progress on standard error
     #[arg(long, global = true, value_name = "HOW", default_value = "auto")]
     progress: Show,
     #[command(subcommand)]
@@ -64,7 +67,7 @@ fn main() -> ExitCode {
     #[cfg(feature = "object-storage")]
     simod_storage::install();
     let arguments = Arguments::parse_from(std::env::args_os().map(without_secrets));
-    // A process that answers another one is stopped by that.
+    // A process that answers another one is stopped by that one.
     let is_worker = matches!(&arguments.command, Command::Plugin(plugin) if plugin.is_worker());
     let console = if is_worker { Console::of_worker() } else { Console::new() };
     match execute(arguments, &console) {
@@ -80,7 +83,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// An argument without what may be secret in the URL of an object, so that nothing can tell it.
+/// An argument without parts that may be secret in the URL of an object, so that no message can tell these.
 fn without_secrets(argument: OsString) -> OsString {
     let option =
         argument.to_str().filter(|text| text.starts_with("--")).and_then(|text| text.split_once('='));

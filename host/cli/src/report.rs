@@ -1,4 +1,4 @@
-//! What a command has to say when it is done: lines for people, or one JSON object with `--json`.
+//! The report of a command that is done: lines for people, or one JSON object with `--json`.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -32,18 +32,18 @@ impl<'a> Report<'a> {
         }
     }
 
-    /// Where work tells its progress. A command that uses it gets the times of its phases into the report.
+    /// Progress of timed work: a command that uses it gets the times of its phases into the report.
     pub fn progress(&mut self) -> &'a dyn Progress {
         self.timed = true;
         self.console
     }
 
-    /// As [`progress`](Self::progress), where nobody wants to know how long each phase took.
+    /// Progress of work whose phases' times are of no interest.
     pub fn untimed(&self) -> &'a dyn Progress {
         self.console
     }
 
-    /// The command did its work, and what it found is a failure: told after the report.
+    /// Marks the command as failed though it did its work: the error is printed after the report.
     pub fn fail(&mut self, error: Error) {
         self.failure = Some(error);
     }
@@ -90,7 +90,7 @@ impl<'a> Report<'a> {
         self.started.elapsed().as_secs_f64()
     }
 
-    /// Prints the report. An error where there is a [failure](Self::fail) to tell.
+    /// Prints the report. Returns the [failure](Self::fail), if there is one.
     pub fn finish(mut self, as_json: bool) -> Result<()> {
         let seconds = self.seconds();
         let stages = self.console.stages();
@@ -128,7 +128,7 @@ impl<'a> Report<'a> {
 fn shown_json(value: &Value) -> String {
     let mut text = String::new();
     for c in value.to_string().chars() {
-        // Outside of texts there is none.
+        // A JSON value has such characters in its texts alone.
         if is_raw(c) { text.push_str(&format!("\\u{:04x}", u32::from(c))) } else { text.push(c) }
     }
     text
@@ -167,7 +167,7 @@ pub fn length(fraction: f64, diagonal: f64) -> String {
     format!("{fraction:.1e} of the diagonal ({:.1e} in the model's unit)", fraction * diagonal)
 }
 
-/// How far vertices are off, likewise.
+/// Errors of vertices for people: as fractions of the model's diagonal, and in its unit.
 pub fn errors([rms, p999, worst]: [f64; 3], diagonal: f64) -> String {
     format!(
         "rms {rms:.1e}, 99.9 % below {p999:.1e}, worst {worst:.1e} of the diagonal ({:.1e}, {:.1e}, {:.1e} in the \
@@ -178,8 +178,8 @@ pub fn errors([rms, p999, worst]: [f64; 3], diagonal: f64) -> String {
     )
 }
 
-/// For `--json`: figures that are fractions of the diagonal, and by the same names under `lengths` in the
-/// model's unit. What is no object stays.
+/// Figures for `--json` that are fractions of the diagonal, with the same figures under `lengths` in the
+/// model's unit. A value that is no object stays.
 pub fn with_lengths(mut figures: Value, names: &[&str], diagonal: f64) -> Value {
     if let Some(figures) = figures.as_object_mut() {
         let length =

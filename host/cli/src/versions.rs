@@ -1,10 +1,10 @@
-//! Which deformed samples become which outputs, where a command line names several at once.
+//! The versions of a command line that names several deformed samples and outputs at once.
 
 use std::path::{Component, Path, PathBuf};
 
 use simod_model::{Error, Result, matching};
 
-/// Stands in an output's name for what tells the versions apart.
+/// Placeholder in an output's name for the part that tells the versions apart.
 const PLACE: &str = "{}";
 
 /// Deformed samples, the model to write, and the diagnostics, if they are asked for.
@@ -68,25 +68,25 @@ pub fn versions(
     Ok(versions)
 }
 
-/// The files that a path or a pattern means, each with what `{}` stands for: what the only `*` of the pattern
-/// matched, and otherwise the file's name without its ending.
+/// Files that a path or a pattern means, each with the text for `{}`: the text that the only `*` of the
+/// pattern matched, and otherwise the file's name without its ending.
 fn files(named: &Path) -> Result<Vec<(PathBuf, String)>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let Some(paths) = matching(named)? else {
-        // Whether there is such a file is told when it is read.
+        // A missing file is reported when it is read.
         return Ok(vec![(named.to_owned(), stem(named))]);
     };
     let name = |path: &Path| matched(named, path).unwrap_or_else(|| stem(path));
     Ok(paths.into_iter().map(|path| (path.clone(), name(&path))).collect())
 }
 
-/// What the only wildcard of a pattern, a `*`, stands for in a path that it matches.
+/// Text for which the only wildcard of a pattern, a `*`, stands in a path that the pattern matches.
 fn matched(pattern: &Path, path: &Path) -> Option<String> {
     let text = pattern.to_str()?;
     if text.matches('*').count() != 1 || text.contains(['?', '[']) {
         return None;
     }
-    // From the end, as a leading "./" may be missing in the path.
+    // Components are compared from the end, as a leading "./" may be missing in the path.
     let mut pairs = pattern.components().rev().zip(path.components().rev());
     pairs.find_map(|(pattern, found)| {
         let (Component::Normal(pattern), Component::Normal(found)) = (pattern, found) else { return None };

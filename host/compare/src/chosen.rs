@@ -1,6 +1,6 @@
-//! The vertices that are drawn of models which have very many: one of each so many that follow each other in
-//! the file, as every method has it, in a temporary file. They are found while the models are measured, so
-//! that pictures need no further reading.
+//! Vertices that are drawn of models which have very many: one of each so many that follow each other in
+//! the file, in every method's version, in a temporary file. They are chosen while the models are measured,
+//! so that pictures need no further reading.
 
 use glam::{DVec3, Vec3};
 use simod_model::mapped::Map;
@@ -10,7 +10,7 @@ use simod_picture::SurfaceDisc;
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// What to do where the disk has no room.
+/// Advice where the disk has no room.
 const ADVICE: &str = "compare fewer methods at a time, or draw smaller pictures";
 
 /// Numbers of a vertex in one version: its position and its normal.
@@ -18,7 +18,7 @@ const NUMBERS: usize = 6;
 
 /// Vertices that are being chosen.
 pub(crate) struct Choosing {
-    /// One of so many vertices is chosen.
+    /// Number of vertices of which one is chosen.
     stride: u64,
     count: u64,
     versions: usize,
@@ -34,10 +34,10 @@ pub(crate) struct ChosenVertices {
 }
 
 impl Choosing {
-    /// About `most` of so many vertices, or all where there are fewer than twice as many, by their places
-    /// about `origin`.
+    /// Begins a choice of about `most` of so many vertices, or of all where there are fewer than twice as
+    /// many. Positions are kept relative to `origin`.
     ///
-    /// On the disk, in `folder`: 24 bytes for each chosen vertex and version, and four.
+    /// Disk space, in `folder`: 24 bytes for each chosen vertex and version, and four.
     pub fn begin(
         (vertices, most): (u64, u64),
         versions: usize,
@@ -49,8 +49,8 @@ impl Choosing {
         Ok(Self { stride, count: vertices / stride, versions, origin, file })
     }
 
-    /// Takes those of some consecutive vertices, in all versions, the first one at rest, that are chosen;
-    /// `color` tells their colours.
+    /// Takes the chosen ones of some consecutive vertices, in all versions, the first one at rest; `color`
+    /// gives their colours.
     pub fn take(
         &self,
         first: u64,
@@ -61,7 +61,7 @@ impl Choosing {
         let mut words: Vec<u32> = Vec::new();
         let mut begin = None;
         for number in first / self.stride..end.div_ceil(self.stride).min(self.count) {
-            // Not at equal distances, which files may have something to do with.
+            // The chosen vertices are not at equal distances, which files may have something to do with.
             let vertex = number * self.stride + xxh3_64(&number.to_le_bytes()) % self.stride;
             if !(first..end).contains(&vertex) {
                 continue;
@@ -92,7 +92,7 @@ impl Choosing {
 }
 
 impl ChosenVertices {
-    /// How many there are.
+    /// Number of chosen vertices.
     pub fn len(&self) -> usize {
         self.words().len() / self.width()
     }
@@ -102,11 +102,11 @@ impl ChosenVertices {
     }
 
     fn words(&self) -> &[u32] {
-        // A map begins with a page, and is of whole words.
+        // The map begins with a page, and consists of whole words.
         bytemuck::cast_slice(&self.numbers)
     }
 
-    /// One of them in a version, in the model's coordinates, with its colour; it has no size yet.
+    /// Chosen vertex in a version, in the model's coordinates, with its colour; the disc has no size yet.
     pub fn point(&self, i: usize, version: usize) -> SurfaceDisc {
         let words = &self.words()[i * self.width()..][..self.width()];
         let number = |at: usize| f32::from_bits(words[version * NUMBERS + at]);

@@ -1,4 +1,4 @@
-//! How long deformations are prepared, told by the stages of their progress.
+//! The time for which deformations are prepared, told by the stages of their progress.
 
 use simod_model::progress::Emerging;
 use simod_model::{Progress, Result};
@@ -13,7 +13,7 @@ pub(crate) struct Clock<'a> {
 
 #[derive(Default)]
 struct ClockState {
-    /// Since when there is something being prepared.
+    /// Time since when something is being prepared.
     since: Option<Instant>,
     before: Duration,
 }

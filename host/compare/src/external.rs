@@ -16,17 +16,18 @@ use std::time::{Duration, Instant};
 /// Time between two looks at the process.
 const INTERVAL: Duration = Duration::from_millis(10);
 
-/// Lines of what a program printed that are told if it fails.
+/// Number of lines of a program's output that are told if the program fails.
 const TOLD: usize = 3;
 
 /// The cost of a program that was run.
 pub(crate) struct Ran {
     pub seconds: f64,
-    /// The most anonymous memory of it and those that it started, as often as it was looked at.
+    /// Largest anonymous memory of the program and those that it started, at the times when it was looked
+    /// at.
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// What a program is given in place of the words in braces.
+/// Files for the words in braces of a program's command.
 pub(crate) struct Files<'a> {
     /// `{samples}`
     pub samples: &'a Path,
@@ -39,7 +40,7 @@ pub(crate) struct Files<'a> {
 }
 
 impl Files<'_> {
-    /// A word of a command, with the whole paths of the files that it names.
+    /// Word of a command, with the whole paths of the files that it names.
     fn filled_in(&self, word: &str) -> String {
         let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         let mut word = word.to_owned();
@@ -96,7 +97,7 @@ pub(crate) fn run(command: &ProgramMethod, files: &Files<'_>, progress: &dyn Pro
     Ok(Ran { seconds, peak_memory_bytes })
 }
 
-/// What a program said last, which tells most.
+/// Last lines of a program's output, which tell most.
 fn last_said(output: &str, errors: &str) -> String {
     let said = if errors.trim().is_empty() { output } else { errors };
     let lines: Vec<&str> = said.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -104,7 +105,7 @@ fn last_said(output: &str, errors: &str) -> String {
     if last.is_empty() { "and said nothing".to_owned() } else { last }
 }
 
-/// Writes what a program is given, as far as its command asks for it.
+/// Writes the files that a program is given, as far as its command asks for them.
 pub(crate) fn write_given(
     command: &ProgramMethod,
     files: &Files<'_>,
@@ -120,8 +121,8 @@ pub(crate) fn write_given(
     Ok(())
 }
 
-/// Where regions have samples go: a line of its number and three coordinates for each that a region holds by
-/// more than a half, fixed ones where they are.
+/// Targets of samples in regions: a line for each sample that a region holds by more than a half, with its
+/// number and three coordinates; samples in fixed regions have their own place.
 fn constraints(sampled: &SampledModel, regions: &[Region]) -> String {
     let place = |p: DVec3| {
         let holding = |region: &&Region| region.role != Role::Mask && region.shapes.weight(p) > 0.5;
@@ -134,7 +135,7 @@ fn constraints(sampled: &SampledModel, regions: &[Region]) -> String {
     let mut text = String::new();
     for (i, position) in sampled.samples.positions.iter().enumerate() {
         if let Some(DVec3 { x, y, z }) = place(sampled.frame.to_model(*position)) {
-            // Text takes what is written.
+            // Writing to a text does not fail.
             let _ = writeln!(text, "{i} {x} {y} {z}");
         }
     }

@@ -1,4 +1,4 @@
-//! The figures of methods: each beside the model at rest, and each two of them.
+//! The figures of methods: each method beside the model at rest, and each pair of methods.
 
 use crate::lengths::WithLengths;
 use crate::method::Deformed;
@@ -16,14 +16,14 @@ use simod_model::{Error, ErrorKind, Model, Progress, Result, for_faces, for_posi
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// What is smaller is a detail, as a fraction of the diagonal.
+/// Size below which a feature is a detail, as a fraction of the diagonal.
 pub(crate) const DETAIL: f64 = 0.015;
 
-/// Shapes that are measured at a time.
+/// Number of shapes that are measured at a time.
 const TOGETHER: usize = 4;
 
 impl ComparedModels {
-    /// The vertices of a method beside those of the first, both counted from 0.
+    /// Difference of a method's vertices from those of the first method, both counted from 0.
     pub fn to_first(&self, method: usize) -> Option<Difference> {
         let found = self.differences.iter().find(|(of, _)| *of == (0, method));
         found.map(|(_, difference)| *difference)
@@ -32,15 +32,15 @@ impl ComparedModels {
 
 /// All vertices of the models, the first one at rest.
 pub(crate) struct ComparedModels {
-    /// Each method's vertices beside those at rest.
+    /// Differences of each method's vertices from those at rest.
     pub displacements: Vec<Difference>,
     /// Boxes of all models.
     pub bounds: Vec<Bounds>,
-    /// Each two methods, counted from 0.
+    /// Differences of each pair of methods, counted from 0.
     differences: Vec<((usize, usize), Difference)>,
 }
 
-/// Compares all models in one reading; `also` sees their vertices, too.
+/// Compares all models in one reading; `also` gets their vertices, too.
 pub(crate) fn beside(
     models: &[&dyn Model],
     diagonal: f64,
@@ -57,7 +57,8 @@ pub(crate) fn beside(
     })
 }
 
-/// The deformed samples of methods beside those at rest: nothing of those without samples or triangles.
+/// Figures of the methods' deformed samples beside those at rest: nothing of methods without samples or
+/// triangles.
 pub(crate) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Result<Vec<Option<OnSamples>>> {
     progress.begin("measuring the samples", 0);
     let mut found: Vec<Option<OnSamples>> = deformed.iter().map(|_| None).collect();
@@ -92,7 +93,7 @@ struct AtRest<'a> {
     triangles: &'a [[u32; 3]],
     edges: Edges,
     details: Details<'a>,
-    /// The volume of a closed mesh.
+    /// Volume of the mesh, if it is closed.
     volume: Option<f64>,
     open: Option<OpenMesh>,
 }
@@ -141,7 +142,7 @@ impl<'a> AtRest<'a> {
 
 /// The model's own mesh, where it is small enough to be held.
 pub(crate) struct HeldMesh {
-    /// The first vertex at the place of each: soups have theirs several times.
+    /// Index of the first vertex at the place of each: soups have several vertices at one place.
     first: Vec<u32>,
     rest: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
@@ -149,13 +150,13 @@ pub(crate) struct HeldMesh {
 }
 
 impl HeldMesh {
-    /// Most vertices and most triangles.
+    /// Greatest number of vertices, and of triangles.
     ///
-    /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are
-    /// measured.
+    /// Memory: 40 bytes for each vertex and triangle, of those at rest and those of four methods; and a
+    /// thousand while they are measured.
     const MOST: u64 = 1 << 18;
 
-    /// Nothing of a model that is larger, or has no faces.
+    /// Reads a mesh; nothing of a model that is larger, or has no faces.
     pub fn read(model: &dyn Model, diagonal: f64, progress: &dyn Progress) -> Result<Option<Self>> {
         let info = model.info();
         if info.vertices > Self::MOST || info.faces == 0 || info.faces > 2 * Self::MOST {
@@ -164,7 +165,7 @@ impl HeldMesh {
         progress.begin("reading the model", info.vertex_bytes);
         let rest = positions(model)?;
         let mut at = HashMap::new();
-        // As it is with numbers, both zeros are one.
+        // Both zeros count as one number.
         let place = |p: &DVec3| (*p + DVec3::ZERO).to_array().map(f64::to_bits);
         let first: Vec<u32> = rest.iter().zip(0..).map(|(p, i)| *at.entry(place(p)).or_insert(i)).collect();
         let mut triangles = Vec::new();
@@ -174,7 +175,7 @@ impl HeldMesh {
             let merged = chunk.triangles.iter().filter(|t| known(t)).map(|t| t.map(|i| first[i as usize]));
             triangles.extend(merged.filter(|[a, b, c]| a != b && b != c && c != a));
             if triangles.len() as u64 > 4 * Self::MOST {
-                // Few polygons may have very many corners.
+                // A few polygons may have very many corners.
                 triangles.clear();
                 return Err(Error::argument("too many triangles", "they are not held"));
             }
@@ -186,7 +187,7 @@ impl HeldMesh {
         Ok((!triangles.is_empty()).then_some(Self { first, rest, triangles, scale }))
     }
 
-    /// Deformed models beside it.
+    /// Figures of deformed models beside this mesh.
     pub fn measure(&self, models: &[&dyn Model], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
         progress.begin("measuring the model", 0);
         let shape = AtRest::new(&self.rest, &self.triangles);
@@ -213,21 +214,21 @@ fn positions(model: &dyn Model) -> Result<Vec<DVec3>> {
     Ok(positions)
 }
 
-/// Local positions in the unit of all lengths.
+/// Local positions, in the unit of all lengths here: the diagonal.
 fn in_diagonals(sampled: &SampledModel, local: impl Iterator<Item = DVec3>) -> Vec<DVec3> {
     let scale = 1.0 / sampled.local_diagonal().max(f64::MIN_POSITIVE);
     local.map(|p| p * scale).collect()
 }
 
-/// Deformed samples in the unit of all lengths.
+/// Deformed samples, in the unit of all lengths here: the diagonal.
 fn deformed_in_diagonals(sampled: &SampledModel, deformed: &DeformedPositions) -> Vec<DVec3> {
     let shift = deformed.shift / sampled.frame.scale;
     in_diagonals(sampled, deformed.local.iter().map(|p| p.as_dvec3() + shift))
 }
 
-/// Each two methods, of a model whose bounding box has the `diagonal`.
+/// Figures of each pair of methods, of a model whose bounding box has the `diagonal`.
 ///
-/// Memory: the tree of one method's triangles, and 24 bytes for each sample of two.
+/// Memory: the tree of one method's triangles, and 24 bytes for each sample of two methods.
 pub(crate) fn pairs(
     names: &[String],
     deformed: &[&Deformed],
@@ -238,7 +239,7 @@ pub(crate) fn pairs(
     let has_surface = |d: &&&Deformed| d.positions.is_some() && !d.sampled.triangles.is_empty();
     let points: usize = deformed.iter().filter(has_surface).map(|d| d.sampled.samples.len()).sum();
     progress.begin_parts("comparing surfaces", (points * count.saturating_sub(1)) as u64);
-    // One way: row by row from one method to each other one.
+    // Distances in one direction: row by row from one method to each other one.
     let mut ways: Vec<Option<Distances>> = vec![None; count * count];
     for (to, target) in deformed.iter().enumerate() {
         let Some(positions) = &target.positions else { continue };
@@ -263,20 +264,19 @@ pub(crate) fn pairs(
     Ok(beside.differences.iter().map(pair).collect())
 }
 
-/// The end of the colour scale: a round number that 99 of 100 vertices of each method do not reach, or nearly
-/// so.
+/// End of the colour scale: a round number that about 99 of 100 vertices of each method do not reach.
 pub(crate) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
     let with_first = pairs.iter().filter(|pair| pair.first == reference);
     rounded_up(with_first.map(|pair| pair.vertices.p99).fold(0.0, f64::max))
 }
 
-/// The next number of one digit, or 1.5, times a power of ten.
+/// Next larger number of one digit, or 1.5, times a power of ten.
 fn rounded_up(x: f64) -> f64 {
     if !(x > 0.0 && x.is_finite()) {
         return 0.0;
     }
     let exponent = x.log10().floor() as i32;
-    // Divided by whole powers, so that 0.3 is 0.3.
+    // The number is divided by whole powers of ten, so that 0.3 is 0.3.
     let round = |n: f64| if exponent < 0 { n / 10f64.powi(-exponent) } else { n * 10f64.powi(exponent) };
     let ends = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0].map(round);
     ends.into_iter().find(|end| *end >= x * (1.0 - 1e-9)).unwrap_or(x)

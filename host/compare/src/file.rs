@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 /// Most methods of a comparison: all their models are read at once, and all pairs of them are compared.
 pub const MAX_METHODS: usize = 32;
 
-/// Longest side of a picture in pixels, as that of `simod render`: 4 times as many samples are held, of 64
-/// bytes each, which is 1 GB for 2000 by 2000.
+/// Longest side of a picture in pixels, as in `simod render`: 4 times as many samples are held, of 64 bytes
+/// each, which is 1 GB for 2000 by 2000.
 const MAX_SIDE: u32 = 3840;
 
 /// Most runs of each method.
@@ -33,29 +33,29 @@ pub struct CompareFile {
     pub text: String,
     /// The huge model.
     pub model: PathBuf,
-    /// What its columns are, if it is a text in columns that does not say so.
+    /// Names of the model's columns, if the model is a text in columns that does not name them.
     pub columns: Option<String>,
-    /// The model's fingerprint, if the file says it.
+    /// Fingerprint of the model, if the file gives it.
     pub fingerprint: Option<String>,
-    /// Regions for all methods that are one plugin, as far as it takes them.
+    /// Regions for all methods that are one plugin, as far as the plugin takes them.
     pub regions: Vec<Region>,
-    /// How the pictures are taken.
+    /// Camera and size of the pictures.
     pub camera: CameraPlace,
     /// Parts of the pictures that are shown larger.
     pub crops: Vec<CropPlace>,
-    /// How often each method is done: its times are the medians.
+    /// Number of runs of each method: its times are the medians.
     pub runs: usize,
-    /// At least one, with names that differ.
+    /// Methods, at least one, with different names.
     pub methods: Vec<ComparedMethod>,
 }
 
-/// From where pictures are taken, and how large, as `simod render` has it.
+/// Camera and size of pictures, as in `simod render`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
 pub struct CameraPlace {
-    /// Turned to the right about the vertical axis, in degrees.
+    /// Turn to the right about the vertical axis, in degrees.
     pub yaw: f64,
-    /// Looking down, in degrees.
+    /// Angle by which the camera looks down, in degrees.
     pub pitch: f64,
     /// The model's axis that points up.
     pub up: UpAxis,
@@ -72,11 +72,11 @@ impl Default for CameraPlace {
 /// A part of the pictures that is shown larger.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CropPlace {
-    /// What the user calls it.
+    /// Name that the user gives to the part.
     pub name: String,
-    /// What the pictures' names end with; unique.
+    /// Ending of the pictures' names; unique.
     pub file: String,
-    /// The model's point in the middle.
+    /// Point of the model in the middle of the part.
     pub target: DVec3,
     /// The part's width over that of the whole.
     pub part: f64,
@@ -85,37 +85,37 @@ pub struct CropPlace {
 /// One of the methods that are compared.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComparedMethod {
-    /// What the user calls it; unique.
+    /// Name that the user gives to the method; unique.
     pub name: String,
-    /// Where in the file it stands, as `compare.toml, line 7`; for errors.
+    /// Place of the method in the file, as `compare.toml, line 7`; for errors.
     pub place: String,
     /// The work of the method.
     pub work: MethodWork,
-    /// How finely the model is sampled.
+    /// Sampling of the model.
     pub sampling: SamplingTable,
-    /// How the deformation gets onto the model.
+    /// Reconstruction of the deformation on the model.
     pub reconstruction: Reconstruction,
 }
 
-/// What a method does to the samples.
+/// Work of a method on the samples.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MethodWork {
     /// One plugin, on the shared regions.
     Plugin {
         /// The plugin's id.
         deform: String,
-        /// The version of what its parameters mean; where nothing is said, the first.
+        /// Version of the parameters' meaning; the first where nothing is said.
         state_version: Option<u32>,
         /// The parameters that differ from their defaults.
         params: toml::Table,
-        /// What paths among them are relative to.
+        /// Folder to which paths among the parameters are relative.
         folder: PathBuf,
     },
     /// The steps of a session, with the regions that they have there.
     Session(PathBuf),
-    /// Nothing: where the samples went is in a file.
+    /// No work: the samples' new positions are in a file.
     Deformed(PathBuf),
-    /// Nothing: the deformed model is there.
+    /// No work: the deformed model is there.
     Model(PathBuf),
     /// A program of the user's.
     Command(ProgramMethod),
@@ -124,18 +124,18 @@ pub enum MethodWork {
 /// A program that deforms the samples, or the model itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProgramMethod {
-    /// As the file has it.
+    /// Command line in the file.
     pub line: String,
     /// The program and its arguments, in which names in braces stand for files.
     pub words: Vec<String>,
-    /// The files that it asks for.
+    /// Files that the command asks for.
     pub given: Vec<ProgramFile>,
-    /// The folder that it runs in.
+    /// Folder in which the program runs.
     pub folder: PathBuf,
 }
 
 impl ProgramMethod {
-    /// Whether it makes a deformed model, and not deformed samples.
+    /// Whether the program makes a deformed model, and not deformed samples.
     pub fn makes_model(&self) -> bool {
         self.given.contains(&ProgramFile::Model)
     }
@@ -146,11 +146,11 @@ impl ProgramMethod {
 pub enum ProgramFile {
     /// The samples at rest: `{samples}`.
     Samples,
-    /// Where the regions have samples go: `{constraints}`.
+    /// Targets of the samples in regions: `{constraints}`.
     Constraints,
     /// The model: `{model}`.
     Model,
-    /// What it is to write: `{output}`.
+    /// Output that the program writes: `{output}`.
     Output,
 }
 
@@ -163,7 +163,7 @@ impl ProgramFile {
     ];
 }
 
-// As the file has it.
+// Tables of the file, as they are read.
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -233,7 +233,7 @@ impl CompareFile {
     /// Reads a file; its paths are relative to its folder.
     ///
     /// # Errors
-    /// The file cannot be read, or says something that makes no sense; which line it is.
+    /// The file cannot be read, or has a line that makes no sense, which the error names.
     pub fn load(path: &Path) -> Result<Self> {
         Self::parse(&read_text(path, "comparison", "give a file such as compare.toml")?, path)
     }
@@ -312,7 +312,7 @@ fn camera(source: &SessionText<'_>, raw: Spanned<CameraPlace>) -> Result<CameraP
     Ok(raw.into_inner())
 }
 
-/// Checks a part of the pictures; `before` are those above it.
+/// Checks a part of the pictures; `before` are the parts above it.
 fn crop(source: &SessionText<'_>, raw: Spanned<RawCrop>, before: &[CropPlace]) -> Result<CropPlace> {
     let (span, raw) = (raw.span(), raw.into_inner());
     let wrong = |what: &str, hint: &str| Err(source.error(&span, what, hint));
@@ -366,7 +366,7 @@ fn command(line: &str, folder: &Path) -> std::result::Result<ProgramMethod, (Str
     Ok(ProgramMethod { line: line.to_owned(), words, given, folder: folder.to_owned() })
 }
 
-/// Checks a method; `before` are those above it.
+/// Checks a method; `before` are the methods above it.
 fn method(
     source: &SessionText<'_>,
     raw: Spanned<RawMethod>,
@@ -401,7 +401,7 @@ fn method(
     Ok(ComparedMethod { name, place, work, sampling, reconstruction })
 }
 
-/// What a method does, which is said in one way; or what is wrong, and what to do.
+/// Work of a method, of which the file names just one kind; or the defect and the advice.
 fn work(raw: RawMethod, folder: &Path) -> std::result::Result<MethodWork, (String, String)> {
     let wrong = |what: &str, hint: &str| Err((what.to_owned(), hint.to_owned()));
     let what = [

@@ -1,4 +1,4 @@
-//! The folder of a comparison: what may be replaced, and how its files are called.
+//! The folder of a comparison: the contents that may be replaced, and the names of its files.
 
 use crate::file::ComparedMethod;
 use crate::html::hyphenated;
@@ -18,19 +18,19 @@ pub(crate) const LATEX: &str = "compare.tex";
 /// The file with all figures.
 pub(crate) const RECORD: &str = "compare.json";
 
-/// No record is longer.
+/// Greatest length of a record, in bytes.
 const LONGEST: u64 = 64 << 20;
 
-/// What pictures of the model at rest begin with.
+/// Beginning of the names of pictures of the model at rest.
 pub(crate) const REST: &str = "rest";
 
-/// What is written into the record.
+/// Name of the format, which is written into the record.
 pub(crate) const FORMAT: &str = "simod-comparison/1";
 
 /// A place where a comparison may be written.
 pub(crate) struct ComparisonFolder(PathBuf);
 
-/// As much of a record as tells which files are the comparison's own.
+/// Part of a record that tells which files are the comparison's own.
 #[derive(Deserialize)]
 struct Former {
     format: String,
@@ -38,8 +38,8 @@ struct Former {
 }
 
 impl ComparisonFolder {
-    /// Checks a place, before any work is done: nothing is there, or a former comparison, which does not hold
-    /// the model.
+    /// Checks a place, before any work is done: it has to be free, or to hold a former comparison, in which
+    /// the model does not lie.
     pub fn check(folder: &Path, model: &[PathBuf]) -> Result<Self> {
         let this = Self(folder.to_owned());
         this.check_again()?;
@@ -51,7 +51,7 @@ impl ComparisonFolder {
         Ok(this)
     }
 
-    /// The check of the folder once more, when all is done.
+    /// Checks the folder once more, when all is done.
     pub fn check_again(&self) -> Result<()> {
         let folder = &self.0;
         if folder.symlink_metadata().is_err() {
@@ -65,7 +65,7 @@ impl ComparisonFolder {
         let Some(former) = former.filter(|former| former.format == FORMAT) else {
             return Err(self.refused("exists and is no comparison"));
         };
-        // What is replaced is removed: nothing of the user's own.
+        // A former comparison is removed: no file of the user's own may be in it.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
         let is_foreign = |name: &std::ffi::OsString| !former.files.iter().any(|own| **own == **name);
         match entries.flatten().map(|e| e.file_name()).find(is_foreign) {
@@ -80,9 +80,9 @@ impl ComparisonFolder {
     }
 }
 
-/// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
-/// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those
-/// of crops.
+/// Names for the files of methods: the ASCII letters and digits of the methods' names. `NAME.png` and
+/// `NAME-difference.png` are of one method alone; no name has the `_` that stands before the names of
+/// crops.
 pub(crate) fn names(methods: &[ComparedMethod]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();

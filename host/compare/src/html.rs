@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-/// Three digits that count.
+/// Number with three significant digits.
 pub(crate) fn number(x: f64) -> String {
     let size = x.abs();
     if x == 0.0 {
@@ -15,7 +15,7 @@ pub(crate) fn number(x: f64) -> String {
     }
 }
 
-/// A round share with its unit, without digits that say nothing.
+/// Round share with its unit, without digits that say nothing.
 pub(crate) fn round_percent(x: f64) -> String {
     let text = number(100.0 * x);
     let text = if text.contains('.') && !text.contains('e') {
@@ -26,13 +26,13 @@ pub(crate) fn round_percent(x: f64) -> String {
     format!("{text} %")
 }
 
-/// What there is of ASCII letters and digits in a text, in lower case, with hyphens between.
+/// ASCII letters and digits of a text, in lower case, with hyphens between its words.
 pub(crate) fn hyphenated(text: &str) -> String {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join("-").to_ascii_lowercase()
 }
 
-/// What is not known, or does not make sense.
+/// Sign for a number that is not known, or does not make sense.
 pub(crate) const NONE: &str = "–";
 
 /// A number, or a dash.
@@ -40,7 +40,7 @@ pub(crate) fn or_dash(x: Option<f64>) -> String {
     x.map_or(NONE.to_owned(), number)
 }
 
-/// A table: first the columns of names, then numbers.
+/// Table: first the columns of names, then those of numbers.
 pub(crate) struct Table<'a> {
     caption: &'a str,
     /// Titles, with their units.
@@ -49,12 +49,12 @@ pub(crate) struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// With a caption, and titles with their units below them.
+    /// Table with a caption, and titles with their units below them.
     pub fn new(caption: &'a str, titles: &'a [(&'a str, &'a str)]) -> Self {
         Self { caption, titles, rows: Vec::new() }
     }
 
-    /// A row: its names, then numbers.
+    /// Adds a row: its names, then its numbers.
     pub fn row(&mut self, names: &[&str], numbers: impl IntoIterator<Item = String>) {
         self.rows.push(html! {
             tr {

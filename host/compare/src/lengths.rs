@@ -10,10 +10,10 @@ use std::ops::Deref;
 /// Figures that are fractions of the diagonal, and those of them that are distances in the model's unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct WithLengths<T> {
-    /// As fractions of the diagonal.
+    /// Figures as fractions of the diagonal.
     #[serde(flatten)]
     pub fractions: T,
-    /// In the model's unit.
+    /// Distances in the model's unit.
     #[serde(default)]
     pub lengths: Lengths,
 }
@@ -25,16 +25,16 @@ pub struct Lengths {
     /// Root of the mean square.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms: Option<f64>,
-    /// 99 of 100 are less.
+    /// Number below which 99 of 100 are.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub p99: Option<f64>,
-    /// 999 of 1000 are less.
+    /// Number below which 999 of 1000 are.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub p999: Option<f64>,
-    /// The greatest.
+    /// Greatest distance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max: Option<f64>,
-    /// The greatest that is expected.
+    /// Greatest expected distance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
     /// The end of the colour scale.
@@ -64,7 +64,7 @@ impl<T> Deref for WithLengths<T> {
 }
 
 impl Lengths {
-    /// All of them times a factor.
+    /// All distances times a factor.
     pub(crate) fn scaled(self, factor: f64) -> Self {
         let scale = |x: Option<f64>| x.map(|x| x * factor);
         Self {

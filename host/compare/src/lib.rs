@@ -6,22 +6,23 @@
 //!                     DIR/index.html, compare.json, *.png ◀──page, record, pictures── figures of each and of pairs
 //! ```
 //!
-//! What is told of all vertices (displacements, differences vertex by vertex) is found by one reading of all
-//! models, and pictures of models with very many vertices are made of some that are chosen by the way. What
-//! needs a surface in memory (volume, edges, areas, folds, energies, distances from surface to surface) is
-//! told of the samples and the triangles between them, and of models that are small enough to be held.
+//! Figures of all vertices (displacements, differences vertex by vertex) are found by one reading of all
+//! models, and pictures of models with very many vertices are made of some that are chosen by the way.
+//! Figures that need a surface in memory (volume, edges, areas, folds, energies, distances from surface to
+//! surface) are those of the samples and the triangles between them, and of models that are small enough to
+//! be held.
 //!
 //! Up to four methods in a row that are run once, and have the same samples, are transferred by one reading
 //! of the model.
 //!
-//! Memory: a run of each method, one after the other, or of those that are transferred together what their
-//! exact maps need, and then a field of each; of each distinct sampling its samples and triangles, and of
-//! each method 12 bytes a sample, to the end, and until all methods are done what is found of the samples at
-//! rest (420 bytes a sample); then up to four methods' smooth surfaces (220 bytes a sample each), or a tree
-//! of one method's triangles (400 bytes a sample), or for each thread a chunk (about 300 kB) of each
-//! model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk, the
-//! deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
-//! version).
+//! Memory: a run of each method, one after the other, or of those that are transferred together the memory
+//! of their exact maps, and then a field of each; of each distinct sampling its samples and triangles, and
+//! of each method 12 bytes a sample, to the end; the rest geometry of the samples (420 bytes a sample)
+//! until all methods are done; then up to four methods' smooth surfaces (220 bytes a sample each), or a
+//! tree of one method's triangles (400 bytes a sample), or for each thread a chunk (about 300 kB) of each
+//! model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk,
+//! the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for
+//! each version).
 
 mod chosen;
 mod clock;
@@ -62,22 +63,22 @@ use simod_session::plugins::PluginRegistry;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What a comparison may do.
+/// Permissions of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Comparing {
-    /// The deformed models stay in the folder.
+    /// Whether the deformed models stay in the folder.
     pub keep_models: bool,
-    /// Programs that the file names are run.
+    /// Whether programs that the file names are run.
     pub allow_commands: bool,
 }
 
 /// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
-/// `compare.json`, tables, pictures, and if they are kept the deformed models. A method that fails is told so
-/// in the result, and the others go on.
+/// `compare.json`, tables, pictures, and if they are kept the deformed models. The failure of a method is
+/// told in the result, and the others go on.
 ///
 /// # Errors
-/// The file names programs, and they are not allowed; the folder is there and no former comparison, or cannot
-/// be written; the model cannot be read; no method could be done; the user cancelled.
+/// The file names programs, and these are not allowed; the folder is there and no former comparison, or
+/// cannot be written; the model cannot be read; no method could be done; the user cancelled.
 pub fn compare(
     file: &CompareFile,
     plugins: &PluginRegistry,
@@ -110,7 +111,7 @@ fn check_commands(file: &CompareFile, how: Comparing) -> Result<()> {
     }
 }
 
-/// The model and the place of the result, if a comparison may be made as it is asked for.
+/// Model and folder, if the comparison may be made as it is asked for.
 fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, ComparisonFolder)> {
     check_commands(file, how)?;
     let named = ModelName::from_path(&file.model)?;
@@ -166,8 +167,8 @@ fn in_folder<'a>(
     beside_each_other(file, (records, &done), keep_models, folder, rest, target, progress)
 }
 
-/// Transfers methods, by their numbers in the file, in one reading of the model; gives those that could be
-/// done.
+/// Transfers methods, by their numbers in the file, in one reading of the model; returns those that could
+/// be done.
 fn transfer(
     bench: &Bench<'_>,
     waiting: Vec<(usize, UntransferredMethod<'_>)>,
@@ -191,7 +192,8 @@ fn transfer(
     Ok(done)
 }
 
-/// What methods came to, compared: `done` are those that could be done, and their numbers in the file.
+/// Compares the methods' results: `done` are the methods that could be done, with their numbers in the
+/// file.
 fn beside_each_other(
     file: &CompareFile,
     (records, done): (Vec<MethodRecord>, &[(usize, Deformed)]),
@@ -243,7 +245,7 @@ fn beside_each_other(
     Ok(comparison)
 }
 
-/// The names of our deformed models, which are removed unless they are kept.
+/// Names of the deformed models that were made here, which are removed unless they are kept.
 fn kept_models(deformed: &[&Deformed], keep_models: bool) -> Result<Vec<String>> {
     let mut kept = Vec::new();
     for Deformed { output, .. } in deformed.iter().filter(|deformed| deformed.is_ours) {
@@ -275,7 +277,7 @@ fn write(
     write_file(&folder.join(INDEX), page::page(comparison, &file.crops, drawn).as_bytes())
 }
 
-/// The first failure, told as that of all.
+/// Error that tells the first failure as that of all methods.
 fn none_done(records: &[MethodRecord]) -> Error {
     let failure = records.iter().find_map(|r| r.error.as_ref());
     let (what, hint) = failure.map_or(("", ""), |f| (&*f.what, &*f.hint));

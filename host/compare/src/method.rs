@@ -26,16 +26,16 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use xxhash_rust::xxh3::Xxh3Default;
 
-/// The place where methods are done, with the samplings that they share.
+/// Bench where methods are done, with the samplings that they share.
 pub(crate) struct Bench<'a> {
     file: &'a CompareFile,
     plugins: &'a PluginRegistry,
     folder: &'a Path,
     cache: Arc<Cache>,
     samplings: Vec<TakenSampling>,
-    /// A method refines: samplings keep their cells.
+    /// Whether a method refines: then samplings keep their cells.
     refines: bool,
-    /// The deformed models are measured by this process, and go with it.
+    /// Whether the deformed models are measured by this process, and go with it.
     is_scratch: bool,
 }
 
@@ -44,11 +44,11 @@ struct TakenSampling {
     of: SamplingTable,
     sampled: Arc<SampledModel>,
     seconds: f64,
-    /// What the first method to be transferred found of the samples at rest.
+    /// Rest geometry of the samples, as the first method that was transferred computed it.
     found: OnceLock<PreparedRest>,
 }
 
-/// What reconstructions have to know of samples at rest, and what that took.
+/// Cost of the samples' rest geometry, which reconstructions need.
 struct PreparedRest {
     seconds: f64,
     processor: Option<f64>,
@@ -64,14 +64,14 @@ impl PreparedRest {
 
 /// A method that was done, as far as it is kept to be compared.
 pub(crate) struct Deformed {
-    /// What its files begin with.
+    /// Beginning of the names of the method's files.
     pub name: String,
     pub sampled: Arc<SampledModel>,
     /// Positions of the samples; nothing where the method deforms none.
     pub positions: Option<DeformedPositions>,
     /// The deformed model.
     pub output: PathBuf,
-    /// The output was made here, and not by the user before.
+    /// Whether the output was made here, and not by the user before.
     pub is_ours: bool,
 }
 
@@ -89,12 +89,12 @@ pub(crate) struct UntransferredMethod<'a> {
     ready: TimedSamples,
     notices: Vec<String>,
     sample: f64,
-    /// While its samples were deformed.
+    /// Peak memory while the samples were deformed.
     peak_memory_bytes: Option<u64>,
 }
 
 impl UntransferredMethod<'_> {
-    /// Whether both have the same samples, and are transferred likewise.
+    /// Whether both methods have the same samples, and are transferred likewise.
     pub fn goes_with(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.ready.moved.sampled, &other.ready.moved.sampled)
             && self.known.method.reconstruction == other.known.method.reconstruction
@@ -107,7 +107,7 @@ pub(crate) struct Transferred<'a> {
     once: Once,
 }
 
-/// Samples that went somewhere, and what that took.
+/// Deformed samples, and the cost of deforming them.
 struct TimedSamples {
     moved: MethodSamples,
     deform: f64,
@@ -115,7 +115,7 @@ struct TimedSamples {
 }
 
 impl TimedSamples {
-    /// The times that it took so far.
+    /// Times that the method took so far.
     fn seconds(&self) -> RunSeconds {
         let Self { moved, deform, processor } = self;
         RunSeconds {
@@ -133,9 +133,9 @@ struct Once {
     sampled: Arc<SampledModel>,
     positions: Option<DeformedPositions>,
     output: PathBuf,
-    /// What the deformed model is in: `output`, or the tiles there.
+    /// Files of the deformed model: `output`, or the tiles there.
     files: Vec<PathBuf>,
-    /// What plugins had to say.
+    /// Messages of the plugins.
     messages: Vec<Message>,
     seconds: RunSeconds,
     /// Peak memory of a program of the user's.
@@ -143,12 +143,12 @@ struct Once {
     transfer_error: Option<TransferError>,
     expected_error: Option<ExpectedError>,
     folded_samples: Option<u64>,
-    /// Hash of the output, where it came about while that was written.
+    /// Hash of the output, where it was computed while the output was written.
     hash: Option<u128>,
 }
 
 impl Once {
-    /// A run whose deformed model, a version of `source`, was written to `output`; its deviations and its
+    /// Run whose deformed model, a version of `source`, was written to `output`; its deviations and its
     /// hash are not known yet.
     fn written(source: &dyn Model, output: PathBuf, moved: &MethodSamples, seconds: RunSeconds) -> Self {
         Self {
@@ -178,10 +178,10 @@ struct MethodSamples {
     peak_memory_bytes: Option<u64>,
 }
 
-/// A method with what is known of it before it is done.
+/// Method with its samples at rest and its steps, before it is done.
 struct PreparedMethod<'a> {
     method: &'a ComparedMethod,
-    /// What its files begin with.
+    /// Beginning of the names of the method's files.
     name: String,
     /// The steps of plugins.
     steps: Vec<Step>,
@@ -189,7 +189,7 @@ struct PreparedMethod<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// A bench without samplings; files are written to `folder`, and the model is read by `cache`.
+    /// Bench without samplings; files are written to `folder`, and the model is read by `cache`.
     pub fn new(
         file: &'a CompareFile,
         plugins: &'a PluginRegistry,
@@ -199,17 +199,17 @@ impl<'a> Bench<'a> {
         Self { file, plugins, folder, cache, samplings: Vec::new(), refines, is_scratch: false }
     }
 
-    /// Nobody but this process needs the deformed models.
+    /// Marks the deformed models as needed by this process alone.
     pub fn make_scratch(&mut self) {
         self.is_scratch = true;
     }
 
-    /// Takes a sampling that was done before, and how many seconds it took.
+    /// Takes a sampling that was done before, and the seconds that it took.
     pub fn take(&mut self, of: SamplingTable, sampled: Arc<SampledModel>, seconds: f64) {
         self.samplings.push(TakenSampling { of, sampled, seconds, found: OnceLock::new() });
     }
 
-    /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
+    /// Does a method, as often as the file says. `record` gets its figures as soon as they are known.
     pub fn run(
         &mut self,
         method: &'a ComparedMethod,
@@ -223,7 +223,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Does a method, or only deforms its samples where these may be transferred together with those of
-    /// others: where it is run once, so that nobody tells from several runs how long it takes by itself.
+    /// others: where the method is run once, so that no time of its own is measured over several runs.
     pub fn begin(
         &mut self,
         method: &'a ComparedMethod,
@@ -249,7 +249,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Transfers methods that go with each other, in one reading of the model. If that cannot be done, each
-    /// one is transferred by itself, so that one of them does not keep the others from being done.
+    /// method is transferred by itself, so that one of them does not keep the others from being done.
     pub fn transfer(
         &self,
         waiting: Vec<UntransferredMethod<'a>>,
@@ -289,8 +289,7 @@ impl<'a> Bench<'a> {
         Ok(finished(&known, once, (runs, sample, peak_memory_bytes, notices), (result, None), record))
     }
 
-    /// What is known of a method before it is done, what there is to say of its plugins, and how long its
-    /// sampling took.
+    /// A method before it is done, the notices on its plugins, and the time of its sampling in seconds.
     fn known(
         &mut self,
         method: &'a ComparedMethod,
@@ -337,7 +336,7 @@ impl<'a> Bench<'a> {
         Ok(finished(known, once, (runs, sample, peak, notices), (result, repeats), record))
     }
 
-    /// Does a method once; what does not change is measured where it is asked for.
+    /// Does a method once; figures that do not change from run to run are computed if `measure` says so.
     fn once(&self, known: &PreparedMethod<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
         match &known.method.work {
             MethodWork::Model(path) => self.of_model(known, path.clone(), None, progress),
@@ -361,7 +360,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// What is known of a deformed model that another program made.
+    /// Run of a method whose deformed model another program made.
     fn of_model(
         &self,
         known: &PreparedMethod<'_>,
@@ -412,7 +411,8 @@ impl<'a> Bench<'a> {
         transferred.ok_or_else(|| Error::internal("a method was not transferred"))
     }
 
-    /// Transfers deformations of the same samples, in one reading; each one's time is an equal part of it.
+    /// Transfers deformations of the same samples, in one reading; the time of each is an equal part of the
+    /// reading's.
     fn transferred(
         &self,
         all: &[(&PreparedMethod<'_>, &TimedSamples)],
@@ -426,7 +426,7 @@ impl<'a> Bench<'a> {
         let (start, processor) = (Instant::now(), processor::seconds());
         let source = sampled.open_source(Some(&self.file.model), progress)?;
         if all.len() > 1 && source.following().is_some() {
-            // What turns with the surface knows the gradients of one map.
+            // Attributes that turn with the surface are turned by the gradients of one map alone.
             return all.iter().map(|one| self.alone(*one, measure, progress)).collect();
         }
         let output = |known: &PreparedMethod<'_>| self.folder.join(file_name(&known.name, source.as_ref()));
@@ -440,7 +440,8 @@ impl<'a> Bench<'a> {
         let gradients = gradients.transpose()?.flatten();
         let gradients = gradients.as_deref();
         let method = known.method.reconstruction;
-        // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
+        // The output is written as one part: nobody resumes a comparison, and the hash is computed on the
+        // way.
         let (part_bytes, is_scratch) = (u64::MAX, self.is_scratch);
         let how = Reconstruction { method, gradients, part_bytes, is_scratch, ..Reconstruction::default() };
         let done = reconstruct(sampled, source.as_ref(), &versions, &how, progress)?;
@@ -469,8 +470,8 @@ impl<'a> Bench<'a> {
         Ok(transferred)
     }
 
-    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all
-    /// methods that have it; nothing of samples to which a method appended some.
+    /// Rest geometry of a sampling's samples, computed once for all methods that have the sampling; nothing
+    /// of samples to which a method appended some.
     fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&PreparedRest> {
         let taken = self.samplings.iter().find(|taken| Arc::ptr_eq(&taken.sampled, sampled))?;
         Some(taken.found.get_or_init(|| {
@@ -479,7 +480,7 @@ impl<'a> Bench<'a> {
         }))
     }
 
-    /// Where a method has the samples go.
+    /// Samples as a method has moved them.
     fn moved(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<MethodSamples> {
         let by_another = |positions: DeformedPositions, peak_memory_bytes| MethodSamples {
             sampled: known.rest.clone(),
@@ -513,7 +514,7 @@ impl<'a> Bench<'a> {
                     sampled,
                     positions,
                     messages,
-                    // Of no more use otherwise, and it may be large.
+                    // A stack that cannot evaluate is of no more use, and may be large.
                     stack: Some(stack).filter(PreparedStack::can_evaluate),
                     prepare,
                     peak_memory_bytes: None,
@@ -522,7 +523,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Runs a program, which is given files of its own for as long.
+    /// Runs a program, with files of its own that last as long as the run.
     fn run_program(
         &self,
         command: &ProgramMethod,
@@ -534,7 +535,7 @@ impl<'a> Bench<'a> {
             ["given-samples.ply", "given-constraints.txt"].map(|name| self.folder.join(name));
         let model = &self.file.model;
         let files = Files { samples: &samples, constraints: &constraints, model, output };
-        // The output of a former run would pass for this one's.
+        // The output of a former run would pass for that of this one.
         if output.exists() {
             std::fs::remove_file(output).map_err(|e| Error::io("remove", output, &e))?;
         }
@@ -575,7 +576,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// The samples, which are taken once for all methods that want the same, and how long it took.
+    /// Samples, which are taken once for all methods that want the same, and the seconds that this took.
     pub fn sampling(
         &mut self,
         of: SamplingTable,
@@ -600,7 +601,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// How far the vertices of a deformed model are from their exact images.
+/// Distances of the vertices of a deformed model from their exact images.
 fn beside_exact(
     source: &dyn Model,
     output: &Path,
@@ -614,7 +615,7 @@ fn beside_exact(
     transfer_error::measure(source, deformed.as_ref(), how, &map, progress)
 }
 
-/// Whether a method says where samples go, and no more.
+/// Whether a method moves samples, and makes no deformed model itself.
 fn deforms_samples(method: &ComparedMethod) -> bool {
     match &method.work {
         MethodWork::Model(_) => false,
@@ -633,7 +634,7 @@ fn result_of(once: &Once, progress: &dyn Progress) -> Result<(u64, String)> {
     Ok((bytes, format!("xxh3-128:{hash:032x}")))
 }
 
-/// Puts what came of a method into its record, and gives what is compared.
+/// Puts the result of a method into its record, and returns the part that is compared.
 fn finished(
     known: &PreparedMethod<'_>,
     once: Once,
@@ -670,22 +671,23 @@ fn finished(
 /// Whether a method appends samples.
 pub(crate) fn refines(method: &ComparedMethod) -> bool {
     match &method.work {
-        // What is wrong with a session is told when it is done.
+        // Defects of a session are reported when the session is done.
         MethodWork::Session(path) => SessionFile::load(path)
             .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
         _ => false,
     }
 }
 
-/// Vertices beside their exact images, about, where a model has several times as many.
+/// Approximate number of vertices that are compared with their exact images, where a model has several
+/// times as many.
 const MEASURED: u64 = 1 << 20;
 
-/// The processor's time since then.
+/// Time of the processor since `before`.
 fn since(before: Option<f64>) -> Option<f64> {
     Some(processor::seconds()? - before?)
 }
 
-/// Nothing where one of them is not known.
+/// Sum of three times; nothing where one of them is not known.
 fn sum(seconds: [Option<f64>; 3]) -> Option<f64> {
     seconds.into_iter().sum()
 }
@@ -697,7 +699,7 @@ fn size_of_all(files: &[PathBuf]) -> Result<u64> {
     files.iter().map(size).sum()
 }
 
-/// The hash of all bytes of files, one after the other, which are read for it.
+/// Hash of all bytes of files, one after the other, which are read for that.
 fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u128> {
     progress.begin("hashing the result", bytes);
     let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 20]);
@@ -718,8 +720,8 @@ fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u12
     Ok(hash.digest128())
 }
 
-/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a
-/// folder.
+/// Name of a method's model: with an extension of the model's format, the model's own if it is one; of
+/// tiles a folder.
 pub(crate) fn file_name(method: &str, model: &dyn Model) -> String {
     if !model.tiles().is_empty() {
         return method.to_owned();

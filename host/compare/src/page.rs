@@ -14,7 +14,7 @@ use simod_picture::scale_color as color;
 
 const STYLE: &str = include_str!("page.css");
 
-/// The page, with these pictures in it, and parts of them.
+/// Page with these pictures, and with parts of them.
 pub(crate) fn page(comparison: &Comparison, crops: &[CropPlace], pictures: &[(String, Vec<u8>)]) -> String {
     let title = format!("{} methods on {}", comparison.methods.len(), comparison.model.name);
     let page = html! {
@@ -69,12 +69,12 @@ pub(crate) fn page(comparison: &Comparison, crops: &[CropPlace], pictures: &[(St
     page.into_string().replace(|c: char| c.is_control() && !matches!(c, '\n' | '\t'), "\u{fffd}")
 }
 
-/// A heading, and what is below it.
+/// Section of a heading and its content.
 fn section(title: &str, content: &Markup) -> Markup {
     html! { h2 { (title) } "\n" (content) }
 }
 
-/// A term, and what it means or is.
+/// Entry of a term and its meaning or value.
 fn entry(term: &str, text: &str) -> Markup {
     html! { dt { (term) } dd { (text) } "\n" }
 }
@@ -121,7 +121,7 @@ fn figure(pictures: &[(String, Vec<u8>)], name: &str, alt: &str, caption: &str) 
     Some(html! { figure { img alt=(alt) src=(source); figcaption { (caption) } } "\n" })
 }
 
-/// A gallery of the pictures whose names end so, before the ending.
+/// Gallery of the pictures whose names have this ending before their extension.
 fn gallery(c: &Comparison, end: &str, pictures: &[(String, Vec<u8>)]) -> Markup {
     let methods =
         c.done().filter_map(|(m, _)| figure(pictures, &format!("{}{end}.png", m.file), &m.name, &m.name));
@@ -378,7 +378,7 @@ fn cost_cells(f: &Figures) -> [String; 10] {
     ]
 }
 
-/// What the columns mean, but for the details, whose text has a figure in it.
+/// Meanings of the columns, but for the details, whose text has a figure in it.
 const TERMS: [(&str, &str); 15] = [
     ("displacement", "how far vertices moved from where they are at rest."),
     ("volume", "its relative change; a dash where the triangles between the samples are not closed."),

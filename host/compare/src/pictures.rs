@@ -1,5 +1,5 @@
-//! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how
-//! far that is from the first one.
+//! The pictures of a comparison, all from one place: the model at rest, each method's result, and its
+//! distances from the first method's.
 
 use crate::chosen::ChosenVertices;
 use crate::file::{CompareFile, CropPlace};
@@ -19,16 +19,16 @@ const CLAY: [u8; 3] = [205, 198, 190];
 const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
 
-/// What pictures are made of, and how.
+/// Source and colours of the pictures.
 pub(crate) struct Easel<'a> {
     file: &'a CompareFile,
     paint: Paint,
-    /// Where a temporary file may be made.
+    /// Folder for temporary files.
     folder: &'a Path,
 }
 
 impl<'a> Easel<'a> {
-    /// For pictures of a model at rest, whose vertices may have colours.
+    /// Easel for pictures of a model at rest, whose vertices may have colours.
     pub fn new(
         file: &'a CompareFile,
         rest: &dyn Model,
@@ -39,29 +39,30 @@ impl<'a> Easel<'a> {
         Ok(Self { file, paint: Paint::of_model(rest, coloring, progress)?, folder })
     }
 
-    /// How many vertices of a model are chosen to be drawn, if they are: three for each pixel, which is about
-    /// one for each sample of the picture that shows the model. Where there is no more than one for each
-    /// pixel, the model itself is drawn, with its faces: those of others would be smaller than samples.
+    /// Number of a model's vertices that are chosen to be drawn, if any are: three for each pixel, which is
+    /// about one for each sample of the picture that shows the model. A model with no more than one vertex
+    /// for each pixel is drawn itself, with its faces: the faces of larger models would be smaller than the
+    /// picture's samples.
     pub fn chosen(&self, vertices: u64) -> Option<u64> {
         let [w, h] = self.file.camera.size;
         let pixels = u64::from(w) * u64::from(h);
         (vertices > pixels).then_some(3 * pixels)
     }
 
-    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other,
-    /// where pictures are small enough to be held twice.
+    /// Number of models that are drawn at a time: two, so that the work of one thread on one model is
+    /// beside that on the other, where pictures are small enough to be held twice.
     fn at_a_time(&self) -> usize {
         const SMALL: u64 = 1 << 20;
         let [w, h] = self.file.camera.size;
         if u64::from(w) * u64::from(h) <= SMALL { 2 } else { 1 }
     }
 
-    /// How many of the vertices' first attributes their colours are made of.
+    /// Number of the vertices' first attributes of which their colours are made.
     pub fn attributes(&self) -> usize {
         self.paint.count()
     }
 
-    /// The colour of a vertex by the regions, or its own; `rest` says which of the parts is at rest.
+    /// Colour of a vertex by the regions, or its own; `rest` is the index of the part at rest.
     pub fn color(&self, parts: &[Vertices<'_>], rest: usize, i: usize) -> [u8; 3] {
         region_color(&self.file.regions, parts[rest].positions[i]).unwrap_or_else(|| {
             if self.paint.is_colored() {
@@ -89,9 +90,10 @@ impl<'a> Easel<'a> {
         }
     }
 
-    /// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and
-    /// whose they are; where vertices were chosen, these stand for the whole models, but not for parts of
-    /// them. Gives the pictures' names and contents, and writes them into the record.
+    /// Draws `models`, of which the first is at rest. `files` has, for each of the others, its method's
+    /// number and the beginning of its files' names. Where vertices were chosen, these stand for the whole
+    /// models, but not for parts of them. Returns the pictures' names and contents, and writes the names
+    /// into the record.
     pub fn draw(
         &self,
         (models, chosen): (&[&dyn Model], Option<&ChosenVertices>),
@@ -144,7 +146,7 @@ struct PictureBrush<'a> {
     models: &'a [&'a dyn Model],
     chosen: Option<&'a ChosenVertices>,
     bounds: &'a [Bounds],
-    /// The first shows all.
+    /// Views of the pictures; the first shows all of the model.
     views: &'a [PictureView],
     /// The distance at which the scale ends.
     scale: f64,
@@ -154,8 +156,8 @@ struct PictureBrush<'a> {
 /// The pictures of a model, one for each view.
 struct Drawings {
     by_region: Vec<Image>,
-    /// Each vertex by its distance to the same one of the first method; none of the model at rest and of that
-    /// method.
+    /// Pictures of each vertex by its distance to the same one of the first method; none of the model at
+    /// rest and of that method.
     by_distance: Vec<Image>,
 }
 
@@ -185,7 +187,7 @@ impl PictureBrush<'_> {
         Ok(Drawings { by_region, by_distance })
     }
 
-    /// The first of two versions, painted by both.
+    /// Picture of the first of two versions, painted by both.
     fn of_all(
         &self,
         versions: [usize; 2],
@@ -198,12 +200,12 @@ impl PictureBrush<'_> {
 
     /// The colour of a distance.
     fn color(&self, distance: f64) -> [u8; 3] {
-        // Where nothing differs the scale has no length.
+        // The scale has no length where nothing differs.
         color(if self.scale > 0.0 { (distance / self.scale) as f32 } else { 0.0 })
     }
 }
 
-/// The colour of a vertex by where it is at rest.
+/// Colour of a vertex by its region at rest.
 fn region_color(regions: &[Region], p: DVec3) -> Option<[u8; 3]> {
     let mut holding = regions.iter().filter(|r| r.role != Role::Mask && r.shapes.weight(p) > 0.5);
     holding.next().map(|region| if region.role == Role::Handle { HANDLE } else { FIXED })

@@ -20,11 +20,11 @@ use simod_session::session_file::SamplingTable;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// What is written on the first line of `plan.toml`.
+/// Format of the plan, which is written on the first line of `plan.toml`.
 const FORMAT: &str = "simod-comparison-plan/1";
 
-/// The record of a method in its folder: what is known of it once it is done. The record comes with the
-/// folder, whole.
+/// File of a method's record in its folder, with the figures that are known once the method is done. The
+/// record comes with the folder, whole.
 pub(crate) const METHOD_RECORD: &str = "record.json";
 
 /// A folder of the units of a comparison: the content of `plan.toml`.
@@ -32,20 +32,20 @@ pub(crate) const METHOD_RECORD: &str = "record.json";
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct ComparisonPlan {
     format: String,
-    /// The program's version: others may give other bytes.
+    /// Version of the program: other versions may give other bytes.
     program: String,
     /// The file of the comparison.
     file: PathBuf,
-    /// The model, where it is; of one of several tiles, a pattern.
+    /// Path of the model; a pattern if the model has several tiles.
     model: PathBuf,
-    /// The folder that is written in the end.
+    /// Folder of the comparison, which is written in the end.
     output: PathBuf,
-    /// The deformed models stay in it.
+    /// Whether the deformed models stay in the comparison's folder.
     keep_models: bool,
-    /// The user allowed that programs are run which the file names; units run no others, as its text may not
-    /// change.
+    /// Whether the user allowed that programs are run which the file names; units run no others, as its
+    /// text may not change.
     allow_commands: bool,
-    /// Libraries of plugins that were chosen.
+    /// Libraries of plugins that the user chose.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     plugins: Vec<PathBuf>,
     /// The file, and the sessions that it names.
@@ -54,7 +54,7 @@ pub struct ComparisonPlan {
     units: Vec<Unit>,
 }
 
-/// A text that says what is done, and may not change until all is.
+/// Text that determines the work, and may not change until all is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct PlannedText {
@@ -62,24 +62,24 @@ struct PlannedText {
     hash: String,
 }
 
-/// How the units of a comparison are planned.
+/// Options of the plan of a comparison.
 #[derive(Debug, Clone, Copy)]
 pub struct ComparisonPlanOptions<'a> {
-    /// What the comparison may do.
+    /// Permissions of the comparison.
     pub how: Comparing,
-    /// Libraries of plugins that were chosen.
+    /// Libraries of plugins that the user chose.
     pub plugins: &'a [PathBuf],
     /// The engines that files are written for.
     pub emit: &'a [Emit],
 }
 
-/// Makes the plan of a comparison, which is in the file `path` and will write the folder `output`, and writes
-/// it to a folder, which appears whole or not at all. A former plan there is replaced. Nothing is read of the
-/// model.
+/// Makes the plan of a comparison, which is in the file `path` and will write the folder `output`, and
+/// writes the plan to a folder, which appears whole or not at all. A former plan there is replaced. The
+/// model is not read.
 ///
 /// # Errors
-/// As of [`compare`](crate::compare), before it begins; the folder cannot be written, or is no plan; it lies
-/// in the output, or the other way round; a path is no text.
+/// The errors of [`compare`](crate::compare) before it begins; the folder cannot be written, or holds other
+/// things than a plan; the folder lies in the output, or the other way round; a path is no text.
 pub fn make(
     file: &CompareFile,
     path: &Path,
@@ -118,7 +118,8 @@ pub fn make(
     Ok(plan)
 }
 
-/// A path that does not depend on the current folder; what is beside it, as it is named, stays beside it.
+/// Path that does not depend on the current folder; links in it are kept, so that files beside it stay
+/// beside it.
 fn placed(path: &Path) -> Result<PathBuf> {
     if is_object(path) {
         return text(path.to_owned());
@@ -137,7 +138,7 @@ pub(crate) fn samplings(file: &CompareFile) -> Vec<SamplingTable> {
     samplings
 }
 
-/// The graph.
+/// Units of the comparison.
 fn units(file: &CompareFile) -> Vec<Unit> {
     let samplings = samplings(file);
     let sample = |part| {
@@ -178,7 +179,7 @@ impl ComparisonPlan {
     /// Reads the plan in a folder.
     ///
     /// # Errors
-    /// There is none, it is of another version of the program, or makes no sense.
+    /// There is no plan, or it is of another version of the program, or it makes no sense.
     pub fn load(folder: &Path) -> Result<Self> {
         read(folder)
     }
@@ -208,12 +209,12 @@ impl ComparisonPlan {
         &self.plugins
     }
 
-    /// What the comparison may do.
+    /// Permissions of the comparison.
     pub(crate) fn how(&self) -> Comparing {
         Comparing { keep_models: self.keep_models, allow_commands: self.allow_commands }
     }
 
-    /// The comparison, which says what it said when the plan was made.
+    /// The comparison, whose file and sessions have not changed since the plan was made.
     pub(crate) fn comparison(&self) -> Result<CompareFile> {
         for PlannedText { file, hash } in &self.text {
             if hash_of(file)? != *hash {

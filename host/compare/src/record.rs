@@ -1,7 +1,7 @@
-//! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding
-//! box, and by the same names under `lengths` in the model's unit; angles are in degrees, times in seconds.
-//! Two runs of the same file on one machine differ in `seconds` and `peak_memory_bytes` alone, but for what
-//! programs of the user's make.
+//! All figures of a comparison: `compare.json`. Lengths are fractions of the diagonal of the model's
+//! bounding box, and by the same names under `lengths` in the model's unit; angles are in degrees, times in
+//! seconds. Two runs of the same file on one machine differ in `seconds` and `peak_memory_bytes` alone,
+//! except for results of programs of the user's.
 
 use crate::file::{CompareFile, ComparedMethod, MethodWork};
 use crate::folder::FORMAT;
@@ -24,13 +24,13 @@ pub struct Comparison {
     pub format: String,
     /// The program's version.
     pub simod: String,
-    /// What it was done on.
+    /// Machine on which the comparison was done.
     pub machine: MachineRecord,
     /// The model that was deformed.
     pub model: ModelRecord,
     /// The methods, in the file's order.
     pub methods: Vec<MethodRecord>,
-    /// Each two methods that were done; those with the first one come first.
+    /// Figures of each pair of methods that were done; pairs with the first method come first.
     pub pairs: Vec<Pair>,
     /// The distance at the end of the colour scale of the pictures.
     pub color_scale: f64,
@@ -42,7 +42,7 @@ pub struct Comparison {
     pub files: Vec<String>,
 }
 
-/// What a method does to the samples and the triangles between them; see [`simod_measure`].
+/// Figures of a method on the samples and the triangles between them; see [`simod_measure`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OnSamples {
     /// Relative change of the volume; nothing where the triangles are not closed.
@@ -54,32 +54,32 @@ pub struct OnSamples {
     pub edges: Spread,
     /// Relative changes of the triangles' areas.
     pub areas: Spread,
-    /// How details turn against the smooth surface beneath, and how many triangles are folded.
+    /// Rotations of details against the smooth surface beneath, and number of folded triangles.
     pub details: DetailRotation,
-    /// Energies as papers tell them, and how lengths, areas and distortions are spread.
+    /// Energies as papers tell them, and the distribution of lengths, areas and distortions.
     pub energies: Energies,
 }
 
-/// Two methods beside each other.
+/// Figures of two methods beside each other.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Pair {
-    /// The name of the one that comes first in the file.
+    /// Name of the method that comes first in the file.
     pub first: String,
     /// The name of the other one.
     pub second: String,
     /// The differences between the vertices of both.
     pub vertices: WithLengths<Difference>,
-    /// From the samples of the first to the triangles between those of the second, and back; nothing where
-    /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
+    /// Distances from the samples of the first method to the triangles between those of the second, and
+    /// back; nothing where there are no triangles. The Hausdorff distance is the larger of the two `max`.
     pub surfaces: Option<[WithLengths<Distances>; 2]>,
 }
 
-/// What a comparison was done on.
+/// Machine on which a comparison was done.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MachineRecord {
-    /// What the processor is called; nothing where the system does not tell.
+    /// Name of the processor; nothing where the system does not tell.
     pub processor: Option<String>,
-    /// How many threads worked.
+    /// Number of threads that worked.
     pub threads: usize,
 }
 
@@ -94,31 +94,32 @@ pub struct ModelRecord {
     pub vertices: u64,
     /// Hash of the bytes of all vertices.
     pub fingerprint: String,
-    /// Of the bounding box, in the model's unit: what all figures here are fractions of that are lengths, but
-    /// for those under `lengths`.
+    /// Diagonal of the bounding box, in the model's unit, of which all lengths here are fractions, except
+    /// those under `lengths`.
     pub diagonal: f64,
 }
 
-/// A method and what it did.
+/// Record of a method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodRecord {
-    /// What the user calls it.
+    /// Name that the user gives to the method.
     pub name: String,
-    /// What its files begin with.
+    /// Beginning of the names of the method's files.
     pub file: String,
     /// `samples`, `error`, `grid`, `by` and `place`, as far as they were given.
     pub sampling: Map<String, Value>,
     /// `blended-jets` or `projected-barycentric`, or `none` where the method gives a deformed model.
     pub reconstruction: String,
-    /// What another program made or is, as its file says: `deformed`, `model` or `command`, and which.
+    /// Source of a result that was not made by steps, as the file names it: `deformed`, `model` or `command`,
+    /// and the path or the command.
     pub from: Option<(String, String)>,
-    /// The deformations that were done; none where they could not even be begun.
+    /// Deformations that were done; none where they could not even be begun.
     pub steps: Vec<DeformationRecord>,
-    /// The text of its session, if it is one.
+    /// Text of the method's session, if the method is one.
     pub session: Option<String>,
-    /// What came of it, if it was done.
+    /// Figures of the method, if it was done.
     pub figures: Option<Figures>,
-    /// Why it was not done.
+    /// Reason why the method was not done.
     pub error: Option<MethodFailure>,
 }
 
@@ -133,50 +134,52 @@ pub struct DeformationRecord {
     pub params: Map<String, Value>,
 }
 
-/// Why a method was not done.
+/// Reason why a method was not done.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MethodFailure {
-    /// What is wrong, and where.
+    /// Message: the fault and its place.
     pub what: String,
     /// The advice on the failure.
     pub hint: String,
 }
 
-/// The figures of a method. Those beside others are found when all are done, and read from no record.
+/// Figures of a method. Figures beside other models are computed when all methods are done, and read from
+/// no record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Number of samples, with those that steps appended.
     pub samples: usize,
-    /// Number of triangles between them.
+    /// Number of triangles between the samples.
     pub triangles: usize,
-    /// The time that it took.
+    /// Times that the method took.
     pub seconds: Seconds,
     /// Peak anonymous memory of the process while the method was at work, and of the program that is the
     /// method; nothing where the system does not tell. Of several runs the largest.
     pub peak_memory_bytes: Option<u64>,
-    /// Vertices beside their exact images, all of them or some of very many; nothing where a plugin does not
-    /// know these.
+    /// Errors of the vertices against their exact images, of all vertices or some of very many; nothing
+    /// where a plugin does not know the exact images.
     pub transfer_error: Option<WithLengths<TransferError>>,
-    /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer
-    /// knows.
+    /// Expected errors of the vertices by the transfer, where samples were deformed and the transfer tells.
     pub expected_error: Option<WithLengths<ExpectedError>>,
-    /// The vertices beside those at rest.
+    /// Differences of the vertices from those at rest.
     #[serde(skip_deserializing)]
     pub displacement: Option<WithLengths<Difference>>,
-    /// The vertices beside those of the first method that was done; nothing of that itself.
+    /// Differences of the vertices from those of the first method that was done; nothing of that method
+    /// itself.
     #[serde(skip_deserializing)]
     pub to_first: Option<WithLengths<Difference>>,
-    /// The deformed samples beside those at rest; nothing where there are no triangles.
+    /// Figures of the deformed samples beside those at rest; nothing where there are no triangles.
     #[serde(skip_deserializing)]
     pub on_samples: Option<OnSamples>,
-    /// The deformed faces of the model beside those at rest, where it is small enough to be held.
+    /// Figures of the model's deformed faces beside those at rest, where the model is small enough to be
+    /// held.
     #[serde(skip_deserializing)]
     pub on_model: Option<OnSamples>,
-    /// Samples around which the deformation folds the surface.
+    /// Number of samples around which the deformation folds the surface.
     pub folded_samples: Option<u64>,
-    /// The deformed model, whatever its file is called.
+    /// The deformed model, whatever the name of its file.
     pub result: ResultFile,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<String>,
 }
 
@@ -191,20 +194,21 @@ pub struct ResultFile {
     pub repeats: Option<bool>,
 }
 
-/// How long a method took: of several runs the median of each. What was not done has no time.
+/// Times of a method: of several runs the median of each. Work that was not done has no time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// The method's sampling, which is done once for all methods that have the same.
     pub sample: Option<f64>,
-    /// Preparing and deforming, with the normals of the deformed samples; of a program all that it did.
+    /// Time for preparing and deforming, with the normals of the deformed samples; of a program all of its
+    /// time.
     pub deform: Option<f64>,
-    /// What of that prepared the deformation, without knowing how things move.
+    /// Part of that time which prepared the deformation, before the motions are known.
     pub prepare: Option<f64>,
-    /// The rest of that time: deforming, once it is known how things move.
+    /// Rest of that time: deforming, once the motions are known.
     pub motion: Option<f64>,
-    /// From the deformed samples to the finished model, with what is found of the samples at rest: that is
-    /// done once for all methods that have the same sampling. Of a single run, an equal part of what all took
-    /// that were transferred by the same reading of the model.
+    /// Time from the deformed samples to the finished model, with the rest geometry of the samples, which
+    /// is computed once for all methods that have the same sampling. Of a single run, an equal part of the
+    /// time of all methods that were transferred by the same reading of the model.
     pub reconstruct: Option<f64>,
     /// The processor's time for deforming and reconstructing, of all threads and of programs.
     pub processor: Option<f64>,
@@ -212,7 +216,7 @@ pub struct Seconds {
     pub runs: Vec<RunSeconds>,
 }
 
-/// How long a run took: see [`Seconds`].
+/// Times of a run: see [`Seconds`].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunSeconds {
     /// As in [`Seconds::deform`].
@@ -231,7 +235,7 @@ pub struct RunSeconds {
 pub(crate) type TimeOf = fn(&RunSeconds) -> Option<f64>;
 
 impl Seconds {
-    /// Medians of the times of runs.
+    /// Times of a method, as medians of those of its runs.
     pub(crate) fn from_runs(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
         let median = |of: TimeOf| median(runs.iter().filter_map(of).collect());
         Self {
@@ -245,7 +249,7 @@ impl Seconds {
         }
     }
 
-    /// Half of how far the fastest and the slowest run are apart; nothing of a single run.
+    /// Half of the difference between the slowest and the fastest run; nothing of a single run.
     pub(crate) fn spread(&self, of: TimeOf) -> Option<f64> {
         let all: Vec<f64> = self.runs.iter().filter_map(of).collect();
         let (least, most) = all.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
@@ -253,7 +257,7 @@ impl Seconds {
     }
 }
 
-/// The one in the middle, or the mean of both there.
+/// Median: the number in the middle, or the mean of both there.
 fn median(mut numbers: Vec<f64>) -> Option<f64> {
     numbers.sort_by(f64::total_cmp);
     let last = numbers.len().checked_sub(1)?;
@@ -261,7 +265,7 @@ fn median(mut numbers: Vec<f64>) -> Option<f64> {
 }
 
 impl Comparison {
-    /// As far as it is known when all methods are done.
+    /// Record of the methods, with the figures that are known when all methods are done.
     pub(crate) fn new(file: &CompareFile, sampled: &SampledModel, methods: Vec<MethodRecord>) -> Self {
         let source = &sampled.source;
         Self {
@@ -308,7 +312,7 @@ impl Comparison {
     }
 }
 
-/// What the processor is called, as Linux tells it.
+/// Name of the processor, as Linux tells it.
 fn processor_name() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let mut named = text.lines().filter_map(|line| line.split_once(':'));
@@ -317,7 +321,7 @@ fn processor_name() -> Option<String> {
 }
 
 impl MachineRecord {
-    /// In a few words.
+    /// Number of threads and name of the processor, in words.
     pub(crate) fn in_words(&self) -> String {
         let threads = if self.threads == 1 { "thread" } else { "threads" };
         let of = self.processor.as_ref().map_or(String::new(), |name| format!(" of {name}"));
@@ -367,7 +371,8 @@ impl MethodRecord {
         self.error = Some(MethodFailure { what: e.to_string(), hint: e.hint().to_owned() });
     }
 
-    /// What is known only when all methods are done, of a model whose bounding box has the `diagonal`.
+    /// Sets the figures that are known only when all methods are done, of a model whose bounding box has
+    /// the `diagonal`.
     pub(crate) fn set_shape(
         &mut self,
         (displacement, to_first): (Difference, Option<Difference>),

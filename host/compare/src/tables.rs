@@ -54,8 +54,8 @@ const COLUMNS: [Column; 38] = [
     ("result.bytes", |f| Some(f.result.bytes as f64)),
 ];
 
-/// A row for each method, the first one with the names of the columns, as of RFC 4180; those that failed have
-/// empty ones.
+/// Table with a row for each method, the first row with the names of the columns, as of RFC 4180; methods
+/// that failed have empty cells.
 pub(crate) fn csv(c: &Comparison) -> String {
     let names = ["method", "shape_of"].into_iter().chain(COLUMNS.map(|(name, _)| name));
     let mut rows = vec![names.chain(["result.hash", "error"]).map(str::to_owned).collect::<Vec<_>>()];
@@ -87,7 +87,7 @@ fn row(method: &MethodRecord) -> Vec<String> {
     row
 }
 
-/// A cell of such a file.
+/// Cell of such a file, in quotes where it needs them.
 fn quoted(cell: &str) -> String {
     if cell.contains(['"', ',', '\r', '\n']) {
         format!("\"{}\"", cell.replace('"', "\"\""))
@@ -96,7 +96,7 @@ fn quoted(cell: &str) -> String {
     }
 }
 
-/// Columns of the table for papers: what is in its head, and what of a method is told.
+/// Column of the table for papers: its head, and a method's figure.
 type LatexColumn = (&'static str, fn(&Figures) -> Option<String>);
 
 const LATEX_COLUMNS: [LatexColumn; 12] = [
@@ -122,7 +122,7 @@ fn time(f: &Figures, median: Option<f64>, of: TimeOf) -> Option<String> {
     })
 }
 
-/// A number in TeX's words.
+/// Number as TeX writes it.
 fn math(x: f64) -> String {
     let text = number(x);
     match text.split_once('e') {
@@ -131,12 +131,12 @@ fn math(x: f64) -> String {
     }
 }
 
-/// A table for the package `booktabs`; columns of which no method has anything are left out.
+/// Table for the package `booktabs`; columns of which no method has a figure are left out.
 pub(crate) fn latex(c: &Comparison) -> String {
     let columns: Vec<LatexColumn> =
         LATEX_COLUMNS.into_iter().filter(|(_, of)| c.done().any(|(_, f)| of(f).is_some())).collect();
     let mut text = String::new();
-    // Text takes what is written.
+    // Writing to a text does not fail.
     let _ = writeln!(
         text,
         "% {} vertices of {}, by SIMOD {} on {}; lengths in percent of the diagonal: 1 % is {} in the model's unit.",

@@ -19,43 +19,44 @@ use std::error::Error as _;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Where the samples went, in a method's folder; there is none where it deforms none.
+/// File of the deformed samples in a method's folder; there is none where the method deforms no samples.
 const DEFORMED: &str = "deformed.ply";
 
-/// The samples with those that the method appended, if it did.
+/// Folder of the samples with those that the method appended, if it appended some.
 const REFINED: &str = "refined.simod";
 
-/// No record of a sampling or a method is longer: it may have the text of a session.
+/// Greatest length of a record of a sampling or a method, in bytes: it may have the text of a session.
 const LONGEST: u64 = 64 << 20;
 
 /// The report of a unit.
 #[derive(Default)]
 pub struct ComparisonUnitDone {
-    /// The unit was done before, and nothing had to be.
+    /// Whether the unit was done before.
     pub was_done: bool,
-    /// The method that it was of.
+    /// Record of the unit's method.
     pub method: Option<MethodRecord>,
-    /// What was found, by the last unit.
+    /// Record of the comparison, by the last unit.
     pub comparison: Option<Comparison>,
 }
 
-/// The records of all methods, and what those have left that were done, with their numbers.
+/// Records of all methods, and the results of those that were done, with their numbers.
 type Methods = (Vec<MethodRecord>, Vec<(usize, Deformed)>);
 
-/// What is noted of a sampling.
+/// Note on a sampling.
 #[derive(Serialize, Deserialize)]
 struct SamplingNote {
     seconds: f64,
 }
 
-/// Does a unit of the plan in a folder. What is there already is not done again.
+/// Does a unit of the plan in a folder. A unit that was done is not done again.
 ///
-/// A method that fails is told so in its record, as in a comparison by one process; one that a disk did not
-/// let through has none, and may be done again by another machine.
+/// The failure of a method is told in its record, as in a comparison by one process; a method that failed
+/// by the disk or the machine has no record, and may be done again by another machine.
 ///
 /// # Errors
-/// There is no such unit, or one that has to be done before was not; the comparison is not what it was; what
-/// other units wrote is damaged; the model cannot be sampled; and as of [`compare`](crate::compare).
+/// There is no such unit, or one that has to be done before was not; the comparison has changed since the
+/// plan was made; files of other units are damaged; the model cannot be sampled; and the errors of
+/// [`compare`](crate::compare).
 pub fn do_unit(
     plan: &ComparisonPlan,
     (folder, number): (&Path, usize),
@@ -65,7 +66,7 @@ pub fn do_unit(
     let unit = unit_of(plan.units(), (folder, number))?;
     let is_finished = folder.join(FINISHED).is_file();
     if is_finished && unit.stage == Stage::Page {
-        // The process that did it may have been killed before it had tidied.
+        // The process that did the unit may have been killed before it had tidied.
         tidy(plan, folder);
     }
     if is_finished || folder.join(&unit.writes).is_file() {
@@ -99,7 +100,7 @@ impl ComparisonUnitRun<'_> {
         let mut bench = Bench::new(self.file, self.plugins, (self.folder, cache));
         let (sampled, seconds) = bench.sampling(of, self.progress)?;
         sampled.save_in(begun)?;
-        // In the end, as it tells that the samples are there.
+        // The note is written in the end, as it tells that the samples are there.
         write_json(&self.folder.join(&self.unit.writes), &SamplingNote { seconds })?;
         Ok(ComparisonUnitDone::default())
     }
@@ -143,8 +144,8 @@ impl ComparisonUnitRun<'_> {
         Ok(ComparisonUnitDone { comparison: Some(comparison), ..ComparisonUnitDone::default() })
     }
 
-    /// What the units of methods have left. Deformed models are taken over to a folder, if there is one; what
-    /// was made stays where it is all the same, as this unit may have to be done again.
+    /// Records and results of all methods. Deformed models are taken over to a folder, if there is one; the
+    /// originals stay in their places all the same, as this unit may have to be done again.
     fn methods(&self, kept: Option<&Path>, rest: &dyn Model) -> Result<Methods> {
         let samplings = (0..samplings(self.file).len()).map(|part| self.sampled(part, false));
         let samplings = samplings.collect::<Result<Vec<_>>>()?;
@@ -186,7 +187,8 @@ impl ComparisonUnitRun<'_> {
         samplings(self.file).iter().position(|of| *of == own).unwrap_or_default()
     }
 
-    /// What a unit has sampled, and how many seconds it took; with its cells, if they are asked for.
+    /// Samples that a unit has taken, with the seconds that this took; with the cells, if they are asked
+    /// for.
     fn sampled(&self, part: usize, cells: bool) -> Result<(Arc<SampledModel>, f64)> {
         let folder = self.folder.join(sampled_folder(part));
         let mut sampled = SampledModel::load(&folder)?;
@@ -198,8 +200,8 @@ impl ComparisonUnitRun<'_> {
     }
 }
 
-/// Removes what is not needed any more, and what killed processes have left beside folders; what cannot be
-/// removed hurts nobody.
+/// Removes files that are not needed any more, and those that killed processes have left beside folders; a
+/// file that cannot be removed does no harm.
 fn tidy(plan: &ComparisonPlan, folder: &Path) {
     for unit in plan.units() {
         match unit.stage {
@@ -214,7 +216,8 @@ fn tidy(plan: &ComparisonPlan, folder: &Path) {
     }
 }
 
-/// Writes what the page needs of a method beside the deformed model: `rest` is what it was given.
+/// Writes the parts of a method's result that the page needs beside the deformed model: `rest` are the
+/// samples that the method was given.
 fn keep(deformed: &Deformed, rest: &Arc<SampledModel>, folder: &Path) -> Result<()> {
     let sampled = &deformed.sampled;
     if !Arc::ptr_eq(sampled, rest) {
@@ -224,7 +227,7 @@ fn keep(deformed: &Deformed, rest: &Arc<SampledModel>, folder: &Path) -> Result<
     sampled.write_deformed(&folder.join(DEFORMED), positions, sampled.samples.normals())
 }
 
-/// The deformed model that a method names, if that is what it is.
+/// Path of the deformed model that a method names, if the method is one.
 fn given_model(method: &ComparedMethod) -> Option<&Path> {
     match &method.work {
         MethodWork::Model(path) => Some(path),
@@ -232,7 +235,7 @@ fn given_model(method: &ComparedMethod) -> Option<&Path> {
     }
 }
 
-/// Whether a failure is one of the machine or the disk, and none of what the method was given.
+/// Whether a failure is one of the machine or the disk, and not of the method's input.
 fn is_of_the_disk(e: &Error) -> bool {
     use std::io::ErrorKind as K;
     let source = e.source().and_then(|source| source.downcast_ref::<std::io::Error>());

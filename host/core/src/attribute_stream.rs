@@ -16,9 +16,9 @@ use crate::sampled_model::{ATTRIBUTES, LONGEST_ATTRIBUTES, SampledModel};
 use crate::sampling::kd_tree::completed;
 
 impl SampledModel {
-    /// Colours and other attributes of the samples: those that the folder keeps, or else from the model,
-    /// which is read once more for them; what was found is kept in the folder that the samples are from.
-    /// `elsewhere` is the model if it was moved.
+    /// Colours and other attributes of the samples: those that the folder of the samples keeps, or else means
+    /// over the model, which is read once more for them and kept in that folder. `elsewhere` is the model's
+    /// path if the model was moved.
     ///
     /// # Errors
     /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the
@@ -117,7 +117,8 @@ impl SampledModel {
     }
 }
 
-/// The attributes that samples get: the first ones, if there are very many, which is told.
+/// Attributes of the model that the samples get: the first ones, if there are very many, in which case the
+/// user is told.
 fn taken<'a>(model: &'a dyn Model, progress: &dyn Progress) -> &'a [Attribute] {
     let all = &model.info().attributes;
     let attributes = &all[..all.len().min(MOST)];
@@ -144,7 +145,7 @@ struct RunningMean {
 }
 
 impl RunningMean {
-    /// Takes one more, if it is a number; in the end they are rounded to single precision.
+    /// Adds one more value, if it is a number; the means are rounded to single precision in the end.
     fn add(&mut self, value: f64) {
         if value.is_finite() {
             self.sum += value.clamp(f64::from(f32::MIN), f64::from(f32::MAX));
@@ -157,7 +158,7 @@ impl RunningMean {
     }
 }
 
-/// What becomes an attribute of the samples.
+/// Source of the values that the samples get for one attribute of the model.
 enum AttributeSource {
     Means(Vec<RunningMean>),
     /// Classes: the distance of the nearest vertex so far, local, and its class.

@@ -14,7 +14,7 @@ use simod_model::{Attribute, Error, Result};
 
 use crate::sealed::{seal, unsealed};
 
-/// Most attributes that samples have: the first ones of the file.
+/// Largest number of attributes of the samples: the first ones of the file.
 pub const MOST: usize = 32;
 
 const MAGIC: &[u8; 8] = b"SIMODATR";
@@ -25,7 +25,7 @@ const VERSION: u32 = 2;
 pub struct OfSamples {
     /// The attribute's name and type in the model's file.
     pub attribute: Attribute,
-    /// One for each sample, all finite.
+    /// Value of each sample, all finite.
     pub values: Vec<f32>,
 }
 

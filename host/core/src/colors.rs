@@ -24,7 +24,7 @@ use crate::sampling::kd_tree::completed;
 /// Vertices for each sample that are enough for a mean.
 const ENOUGH: u64 = 8;
 
-/// Most vertices that are picked where nobody knows how many samples there will be.
+/// Largest number of vertices that are picked where the number of samples is not known.
 const MOST: u64 = 4 << 20;
 
 /// Vertices that are written or looked up at a time.
@@ -37,8 +37,7 @@ pub struct ColorBytes {
 }
 
 impl ColorBytes {
-    /// The range of a model's colours, where it has some. How large they are is told by vertices all over the
-    /// file.
+    /// Range of a model's colours, where it has some, by vertices all over the file.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -52,7 +51,7 @@ impl ColorBytes {
         (self.colors, self.scale)
     }
 
-    /// The colours of a chunk that was read of the model; what `to` held is gone.
+    /// Decodes the colours of a chunk that was read of the model, in place of the content of `to`.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -77,7 +76,7 @@ pub type ColorLists = [Vec<f64>; 3];
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct Pick {
-    /// In local coordinates; not finite where it has no position.
+    /// Position in local coordinates; not finite where the vertex has no position.
     position: Vec3,
     color: [u8; 4],
 }
@@ -85,8 +84,8 @@ pub struct Pick {
 /// The vertices that are picked, and their colours.
 pub struct Picking {
     colors: ColorBytes,
-    /// The vertices of the file, so many at a time; one of each such run is picked, which one follows from
-    /// its number's hash. The first of each would be picked along stripes where the vertices are in rows.
+    /// Length of the runs of vertices of which one is picked; which one follows from a hash of the run's
+    /// number. The first of each run would be picked along stripes where the vertices are in rows.
     every: u64,
 }
 
@@ -135,7 +134,7 @@ impl Picking {
     }
 }
 
-/// All that were picked, in the order of the model.
+/// Vertices that were picked, in the order of the model.
 ///
 /// Memory: a block; 16 bytes for each in a temporary file.
 pub struct Picked {
@@ -145,7 +144,7 @@ pub struct Picked {
 }
 
 impl Picked {
-    /// Nothing yet; the file goes to `folder`.
+    /// Empty list, whose file goes to `folder`.
     ///
     /// # Errors
     /// The file cannot be made.
@@ -154,7 +153,7 @@ impl Picked {
         Ok(Self { file, buffer: Vec::new(), written: 0 })
     }
 
-    /// Adds what comes next in the model.
+    /// Adds the picks that come next in the model.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -170,8 +169,8 @@ impl Picked {
         Ok(())
     }
 
-    /// The colours of all samples, which are at these local positions. `sample_of` has that of each vertex of
-    /// the model, where that is known.
+    /// Colours of all samples, which are at these local positions. `sample_of` has the sample of each vertex
+    /// of the model, where that is known.
     ///
     /// # Errors
     /// The file cannot be written or read; the user cancelled.
@@ -207,7 +206,7 @@ struct Means<'a> {
     positions: &'a [Vec3],
     tree: OnceLock<KdTree>,
     first: usize,
-    /// Red, green and blue, and how many they are.
+    /// Sums of red, green and blue, and the number of vertices.
     sums: Vec<[u32; 4]>,
 }
 
@@ -241,7 +240,8 @@ impl<'a> Means<'a> {
         }
     }
 
-    /// The means; of samples without a vertex that of the nearest one that has some. Nothing if none has.
+    /// Mean colours of the samples; samples without a vertex get that of the nearest one that has some. Empty
+    /// if no sample has a vertex.
     fn colors(&self) -> Vec<[u8; 3]> {
         let mean = |[r, g, b, n]: &[u32; 4]| (*n > 0).then(|| [r, g, b].map(|sum| ((sum + n / 2) / n) as u8));
         let known: Vec<_> = self.sums.iter().map(mean).collect();

@@ -3,7 +3,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// So many numbers are sorted by counting; more of them, as all others are.
+/// Largest number of numbers that are sorted by counting; more of them are sorted by the standard library.
 const MOST: usize = 64;
 
 /// Sorts numbers whose upper halves mostly differ.
@@ -38,7 +38,7 @@ impl WithSimd for CountingSort<'_> {
             }
             *less = count;
         }
-        // Where two are the same, one of their places stays free.
+        // Equal numbers have the same count, so one of their places stays free.
         let (mut sorted, mut taken) = ([0; MOST], 0u64);
         for (number, less) in numbers.iter().zip(less) {
             sorted[less as usize % MOST] = *number;

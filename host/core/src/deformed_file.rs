@@ -10,7 +10,7 @@ use std::path::Path;
 use glam::DVec3;
 use simod_model::{Attribute, Error, Model, Result, Scalar, VertexChunk};
 
-/// Most samples that are read: they are held, with some hundred bytes each.
+/// Largest number of samples that are read: they are held, with some hundred bytes each.
 const MOST: u64 = 1 << 29;
 
 /// The attribute with the number of each vertex' sample: `id`, which programs also call `ID`, `scalar_id` or
@@ -24,7 +24,7 @@ pub fn place_of_ids(attributes: &[Attribute]) -> Option<usize> {
 /// Whole numbers up to here are exact in single precision.
 const EXACT: usize = 1 << 24;
 
-/// What the user can do where samples are lost or doubled.
+/// Advice to the user where samples are lost or doubled.
 const HABITS: &str = "all samples have to come back, each once: switch off what merges close or equal vertices, removes unreferenced \
                       or isolated ones, or splits them by normals or texture, on import and on export (often called merge, weld, \
                       clean or process); with the property id kept, their order does not matter";
@@ -33,11 +33,11 @@ const HABITS: &str = "all samples have to come back, each once: switch off what 
 pub struct DeformedFile<'a> {
     /// The file.
     pub path: &'a Path,
-    /// In the model's coordinates, and in the file's order.
+    /// Positions in the model's coordinates, and in the file's order.
     positions: Vec<DVec3>,
     /// The number of each vertex' sample, if the file has it.
     ids: Option<Vec<f64>>,
-    /// How the file stores positions.
+    /// Number type in which the file stores positions.
     pub scalar: Scalar,
 }
 
@@ -78,7 +78,7 @@ impl<'a> DeformedFile<'a> {
         Ok(Self { path, positions, ids: place.map(|_| ids), scalar: info.position_type })
     }
 
-    /// Where so many samples went, in their order and in the model's coordinates.
+    /// Positions of the deformed samples, in the order of P_S and in the model's coordinates.
     ///
     /// # Errors
     /// Samples are missing, or there more than once; an id is none.
@@ -101,10 +101,10 @@ fn refused(path: &Path, what: &str) -> Error {
     Error::mismatch(format!("{} has {what}", path.display()), HABITS)
 }
 
-/// Puts each position where its id says; or what is wrong, after "the file has".
+/// Puts each position at the place that its id says; the error text follows on "the file has".
 fn in_order(positions: Vec<DVec3>, ids: &[f64], samples: usize) -> Result<Vec<DVec3>, String> {
     let vertices = positions.len();
-    // As most programs leave them.
+    // Ids in ascending order from 0, as most programs leave them.
     if vertices == samples && ids.iter().zip(0u32..).all(|(id, i)| *id == f64::from(i)) {
         return Ok(positions);
     }

@@ -3,20 +3,20 @@
 use glam::{BVec3, DVec3, Vec3};
 use simod_model::frame::Frame;
 
-/// The shift is whole steps of so many local units: nothing, unless samples go further than the model's
-/// diagonal in the mean.
+/// Step of the shift in local units: the shift is a whole number of steps along each axis, and zero unless
+/// samples go further than the model's diagonal in the mean.
 const STEP: f64 = 4.0;
 
-/// Where samples went, in local coordinates less a shift that all have in common.
+/// Positions of the deformed samples, in local coordinates less a shift that all samples have in common.
 ///
 /// Single precision tells places far off the local origin but coarsely: samples that all go a thousand times
-/// the model's size away would lose three digits of what they do beside each other. So most of the way that
-/// they go together is kept by itself, in double precision.
+/// the model's size away would lose three digits of their differences. So most of the way that they go
+/// together is kept by itself, in double precision.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DeformedPositions {
     /// Local positions, one per sample, less the shift.
     pub local: Vec<Vec3>,
-    /// In the model's unit; mostly zero.
+    /// Shift in the model's unit; mostly zero.
     pub shift: DVec3,
 }
 
@@ -29,14 +29,14 @@ impl DeformedPositions {
         let shift = (mean / STEP).round() * STEP * frame.scale;
         let shifted = shifted(frame, shift);
         let local = |(place, own): (&DVec3, &Vec3)| {
-            // Where a sample is where it was, it keeps its bits.
+            // A sample at its rest position keeps the bits of that position.
             let stays = place.cmpeq(frame.to_model(*own)) & BVec3::splat(shift == DVec3::ZERO);
             Vec3::select(stays, *own, shifted.to_local(*place))
         };
         Self { local: places.iter().zip(rest).map(local).collect(), shift }
     }
 
-    /// The frame of the local positions; `rest` is that of the model at rest.
+    /// Frame of the local positions; `rest` is the frame of the model at rest.
     pub fn frame(&self, rest: &Frame) -> Frame {
         shifted(rest, self.shift)
     }
@@ -47,23 +47,23 @@ impl DeformedPositions {
         self.local.iter().map(move |p| frame.to_model(*p))
     }
 
-    /// These positions in local coordinates without a shift, as precise as single precision is there.
+    /// Positions in local coordinates with the shift added, as precise as single precision is there.
     pub fn into_unshifted(self, rest: &Frame) -> Vec<Vec3> {
         if self.is_unshifted() { self.local } else { self.places(rest).map(|p| rest.to_local(p)).collect() }
     }
 
-    /// Whether local positions are those of the model at rest's frame.
+    /// Whether the shift is zero, so that local positions are in the frame of the model at rest.
     pub fn is_unshifted(&self) -> bool {
         self.shift == DVec3::ZERO
     }
 
-    /// Whether all are where they were, to the bit.
+    /// Whether all samples are at their rest positions, to the bit.
     pub fn are_still(&self, rest: &[Vec3]) -> bool {
         are_still(&self.local, self.shift, rest)
     }
 }
 
-/// Whether samples with these local positions, less a shift, are where they were, to the bit.
+/// Whether all samples, with these local positions less a shift, are at their rest positions, to the bit.
 pub(crate) fn are_still(local: &[Vec3], shift: DVec3, rest: &[Vec3]) -> bool {
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
     shift == DVec3::ZERO && local.iter().map(bits).eq(rest.iter().map(bits))
@@ -75,7 +75,7 @@ impl From<Vec<Vec3>> for DeformedPositions {
     }
 }
 
-/// The frame of what was shifted; without a shift the same one, to the signs of zeros.
+/// Frame of positions that were shifted; without a shift the same one, to the signs of zeros.
 fn shifted(frame: &Frame, shift: DVec3) -> Frame {
     let origin = if shift == DVec3::ZERO { frame.origin } else { frame.origin + shift };
     Frame { origin, ..*frame }
@@ -100,13 +100,13 @@ mod tests {
             let (way, rest) = (DVec3::from(way), rest());
             let places: Vec<DVec3> = rest.iter().map(|p| frame.to_model(*p) + way).collect();
             let far = DeformedPositions::new(&frame, &rest, &places);
-            // What numbers of that size are rounded to, and the singles of local units that are left.
+            // Rounding of double-precision numbers of that size, and of the single-precision local positions.
             let rounding = 1e-15 * (way.length() + origin.abs()) + 3e-7 * frame.scale;
             for ((back, place), local) in far.places(&frame).zip(&places).zip(&far.local) {
                 prop_assert!(back.distance(*place) <= rounding, "{back} {place}");
                 prop_assert!(local.abs().max_element() <= 3.5);
             }
-            // What is written and read again is the same.
+            // Positions that are written and read again stay the same.
             let written: Vec<DVec3> = far.places(&frame).collect();
             let read = DeformedPositions::new(&frame, &rest, &written);
             prop_assert_eq!(read.shift, far.shift);

@@ -4,7 +4,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
 use pulp::Simd;
 
-/// The most samples that any processor takes at once.
+/// Largest number of samples that any processor takes at once.
 pub const MOST_LANES: usize = 8;
 
 /// One number for each sample of a packet.
@@ -74,7 +74,7 @@ impl<S: Simd> DoubleLanes<S> {
         self.0.reduce_max_f64s(self.1)
     }
 
-    /// Where it is less than another.
+    /// Mask of the lanes in which this number is less than that of `than`.
     #[inline(always)]
     pub fn less(self, than: Self) -> DoubleMask<S> {
         DoubleMask(self.0, self.0.less_than_f64s(self.1, than.1))
@@ -99,7 +99,7 @@ pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
     d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }
 
-/// Whether something holds, for each sample of a packet.
+/// Mask: a truth value for each sample of a packet.
 #[derive(Clone, Copy)]
 pub struct DoubleMask<S: Simd>(S, S::m64s);
 
@@ -122,14 +122,14 @@ impl<S: Simd> DoubleMask<S> {
         DoubleLanes(self.0, self.0.select_f64s(self.1, then.1, or.1))
     }
 
-    /// Whether it holds anywhere.
+    /// Whether the mask is true for any sample.
     #[inline(always)]
     pub fn any(self) -> bool {
         let (one, zero) = (DoubleLanes::splat(self.0, 1.0), DoubleLanes::splat(self.0, 0.0));
         self.select(one, zero).largest() > 0.0
     }
 
-    /// Where it holds, sample by sample; of no meaning behind them.
+    /// Truth values, sample by sample; the entries behind the vector's lanes have no meaning.
     #[inline(always)]
     pub fn store(self) -> [bool; MOST_LANES] {
         let (one, zero) = (DoubleLanes::splat(self.0, 1.0), DoubleLanes::splat(self.0, 0.0));

@@ -1,5 +1,5 @@
-//! Eigenvalues and eigenvectors of several symmetric matrices at once: what
-//! [`symmetric_eigen`](crate::geometry::symmetric_eigen) does for one, by the same steps.
+//! Eigenvalues and eigenvectors of several symmetric matrices at once, found by the steps by which
+//! [`symmetric_eigen`](crate::geometry::symmetric_eigen) finds those of one.
 
 #![expect(
     clippy::needless_range_loop,

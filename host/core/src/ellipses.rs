@@ -13,7 +13,7 @@ const EXTENT: f64 = 2.0;
 /// The shorter axis is at least so long, as a part of the longer one: thinner ones would vanish.
 const THINNEST: f64 = 1e-3;
 
-/// Where among the attributes of splats their shape is.
+/// Places of a splat's rotation, scales and opacity in the model's list of attributes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ellipses {
     /// Real part first.
@@ -40,14 +40,14 @@ impl Ellipses {
         Some(Self { rotation, scales: scales.collect(), opacity: place("opacity", attributes) })
     }
 
-    /// How many of the first attributes are asked for.
+    /// Number of attributes, from the first on, that have to be read.
     pub fn count(&self) -> usize {
         let all = self.rotation.iter().chain(&self.scales).chain(&self.opacity);
         all.max().map_or(0, |last| last + 1)
     }
 
-    /// What is drawn of a splat, by its attribute at each place: nothing of one that is hardly seen, or means
-    /// nothing.
+    /// Ellipse of a splat, its half axes and its normal, from a function that gives the attribute at each
+    /// place; `None` for a splat that is too transparent or has no extent, or whose numbers are not finite.
     pub fn ellipse(&self, attribute: impl Fn(usize) -> f64) -> Option<Ellipse> {
         let opacity = self.opacity.map_or(1.0, |place| 1.0 / (1.0 + (-attribute(place)).exp()));
         let [w, x, y, z] = self.rotation.map(&attribute);

@@ -12,7 +12,7 @@ use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 /// Bytes of a block.
 const BLOCK: u64 = 1 << 18;
 
-/// What a hash over blocks begins with.
+/// First letters of a fingerprint that is a hash over blocks.
 const BLOCKS: &str = "xxh3-128-blocks:";
 
 /// A hash of former kinds, or of anything but vertices, as it stands in files.
@@ -20,7 +20,7 @@ pub(crate) fn fingerprint(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// Whether two fingerprints are of the same vertices; not known where they are of different kinds.
+/// Whether two fingerprints are of the same vertices; `None` where the two are of different kinds.
 pub fn are_same(a: &str, b: &str) -> Option<bool> {
     (a.starts_with(BLOCKS) == b.starts_with(BLOCKS)).then_some(a == b)
 }
@@ -87,7 +87,8 @@ impl BlockHash {
         }
     }
 
-    /// Takes the next bytes, of which the hashes of blocks are known; `false` if they are not the next.
+    /// Takes the next bytes, of which the hashes of blocks are known; `false` if `part` does not begin where
+    /// the bytes so far end.
     pub fn append(&mut self, part: &HashedPart) -> bool {
         if part.start != self.bytes || (!part.blocks.is_empty() && !part.after_head().is_multiple_of(BLOCK)) {
             return false;
@@ -109,18 +110,18 @@ impl BlockHash {
     }
 }
 
-/// What a part of the bytes of all vertices adds to their hash.
+/// Contribution of one range of the vertices' bytes to the hash of all bytes.
 ///
 /// Memory: two blocks, and 16 bytes for each block of the part.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct HashedPart {
-    /// Number of bytes before it.
+    /// Number of bytes before the range.
     start: u64,
-    /// Bytes of a block that began before it.
+    /// Bytes of a block that began before the range.
     head: Vec<u8>,
     /// The hashes of whole blocks.
     blocks: Vec<u128>,
-    /// Bytes of a block that goes on behind it.
+    /// Bytes of a block that goes on behind the range.
     tail: Vec<u8>,
 }
 
@@ -157,8 +158,8 @@ impl HashedPart {
     }
 }
 
-/// Hashes the bytes of a range of vertices, of those that are read of it: more, where it begins or ends
-/// within a compressed block.
+/// Hasher of the bytes of a range of vertices, of those that are read of the model: more, where the range
+/// begins or ends within a compressed block.
 pub(crate) struct PartHasher {
     part: HashedPart,
     /// Bytes before and of the range that are still to come.
@@ -167,7 +168,7 @@ pub(crate) struct PartHasher {
 }
 
 impl PartHasher {
-    /// A hash of these bytes, counted among those of all vertices, where what is read begins so much before
+    /// Hasher for these bytes, counted among those of all vertices, where reading begins `skip` bytes before
     /// them.
     pub fn new(bytes: Range<u64>, skip: u64) -> Self {
         Self { part: HashedPart::new(bytes.start), skip, left: bytes.end.saturating_sub(bytes.start) }
@@ -183,7 +184,7 @@ impl PartHasher {
         self.part.update(bytes);
     }
 
-    /// What they add to the hash of all, if they all were read.
+    /// Contribution of the bytes that were read to the hash of all; `None` unless the whole range was read.
     pub fn finish(self) -> Option<HashedPart> {
         (self.left == 0).then_some(self.part)
     }

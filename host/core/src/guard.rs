@@ -1,6 +1,6 @@
-//! What a command may write over. An output never replaces what the command reads, by whatever name; nor a
-//! file of a sampled model, which makes no sense without the others; nor a file of another kind than is
-//! written, unless that is asked for.
+//! Rules of what a command may write over. An output never replaces a file that the command reads, by
+//! whatever name; nor a file of a sampled model, which makes no sense without the others; nor a file of
+//! another kind than is written, unless that is asked for.
 
 use std::ffi::OsStr;
 use std::io::Read;
@@ -38,7 +38,7 @@ impl OutputKind {
         }
     }
 
-    /// Whether nothing of another kind is there.
+    /// Whether there is no file of another kind at the path.
     fn may_replace(self, path: &Path) -> Result<bool> {
         match self {
             Self::Model if is_object(path) => match object::find(path)? {
@@ -49,9 +49,9 @@ impl OutputKind {
         }
     }
 
-    /// Whether a file that is there is one, or is empty, so that nothing is lost.
+    /// Whether the file at the path is of this kind, or is empty, so that nothing is lost.
     fn is_of(self, path: &Path) -> Result<bool> {
-        /// No session is longer.
+        /// Size that no session file exceeds, in bytes.
         const LONGEST: u64 = 16 << 20;
         let mut start = Vec::new();
         let failed = |e: std::io::Error| Error::io("read", path, &e);
@@ -71,7 +71,8 @@ impl OutputKind {
     }
 }
 
-/// Knows what a command reads, and says what it may write. Asked before any work is done.
+/// Record of the files that a command reads, which says what the command may write. It is asked before any
+/// work is done.
 #[derive(Debug, Default)]
 pub struct Guard {
     inputs: Vec<(PathBuf, Identity)>,
@@ -86,10 +87,10 @@ impl Guard {
         Self { force, ..Self::default() }
     }
 
-    /// The command reads this file, or this folder with the files of a sampled model in it. There need not be
-    /// one: that is told when it is read.
+    /// Records that the command reads this file, or this folder with the files of a sampled model in it.
+    /// There need not be one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
-        // What is wrong with a pattern is told when it is read.
+        // A pattern that is wrong, or matches no file, is told when the model is read.
         if let Ok(Some(files)) = matching(path) {
             return self.reads_all(files);
         }
@@ -102,7 +103,7 @@ impl Guard {
         }
     }
 
-    /// As [`reads`](Self::reads), of many.
+    /// Records several paths as [`reads`](Self::reads) does one.
     pub fn reads_all<P: AsRef<Path>>(&mut self, paths: impl IntoIterator<Item = P>) {
         paths.into_iter().for_each(|path| self.reads(path.as_ref()));
     }

@@ -4,14 +4,14 @@ use std::io::{self, Read, Write};
 
 use xxhash_rust::xxh3::Xxh3Default;
 
-/// Hashes what goes through.
+/// Reader or writer that hashes the bytes which go through.
 pub(crate) struct Hashed<T> {
     pub to: T,
     pub hash: Xxh3Default,
 }
 
 impl<T> Hashed<T> {
-    /// Hashes what goes to, or comes from, a file.
+    /// Hashing reader or writer on `to`.
     pub fn new(to: T) -> Self {
         Self { to, hash: Xxh3Default::new() }
     }

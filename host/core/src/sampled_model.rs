@@ -42,7 +42,7 @@ use crate::stored_precision::StoredPrecision;
 use crate::tables;
 use crate::touching::Contacts;
 
-/// What is written on the first line of `simod.toml`.
+/// Value of `format` in `simod.toml`: the kind of folder and the version.
 const FORMAT: &str = "simod-sampled-model/1";
 
 /// The file of a folder that [`bind`](crate::reconstruction::bind) adds.
@@ -51,10 +51,10 @@ pub const BINDING: &str = "binding.bin";
 /// The file with the cells: see [`KeptCells`].
 pub(crate) const CELLS: &str = "cells.bin";
 
-/// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
+/// File of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
 
-/// The file of what is known of the samples at rest: see
+/// File of the geometry of the samples at rest: see
 /// [`RestGeometry::kept`](crate::reconstruction::RestGeometry::kept).
 pub(crate) const REST: &str = "rest.bin";
 
@@ -77,14 +77,15 @@ const LONGEST_CELLS: u64 = 16 << 30;
 /// Longest file of attributes.
 pub(crate) const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 
-/// From one coordinate of deformed samples to the next, as a part of the model's diagonal: what is more is
-/// said.
+/// Distance from one coordinate of deformed samples to the next above which the user is warned, as a part of
+/// the model's diagonal.
 const COARSE: f64 = 1e-6;
 
-/// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
+/// Largest distance of a deformed sample from the model's middle, in local units: about 1e12 times the
+/// model's size.
 const FARTHEST: f32 = 1e12;
 
-/// The file of who is on whose sheet where parts touch: see [`Contacts`].
+/// File of the sheets of samples where parts touch: see [`Contacts`].
 const SHEETS: &str = "sheets.bin";
 
 /// The file of the samples' attributes, once they were asked for: see [`SampleAttributes`].
@@ -97,33 +98,33 @@ pub struct SourceRecord {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
-    /// The files that it is made of, where these are several; the file is a pattern that they have in common
+    /// Files that the model is made of, where these are several; `path` is a pattern that they have in common
     /// then.
     #[serde(default, skip_serializing_if = "Vec::is_empty", rename = "tile")]
     pub tiles: Vec<SourceTile>,
-    /// What the user said that its columns are, if it is a text in columns.
+    /// Names of the columns as the user gave them, for a model that is a text in columns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<String>,
     /// The model's size in bytes.
     pub bytes: u64,
     /// The model's number of vertices.
     pub vertices: u64,
-    /// The numbers that each of them has besides; not known of folders that former versions wrote.
+    /// Numbers that each vertex has besides position and normal; empty in folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub attributes: Vec<Attribute>,
-    /// How many of them have no finite position.
+    /// Number of vertices without a finite position.
     pub non_finite: u64,
     /// The first vertex without a finite position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
-    /// How many splats were too transparent to be sampled.
+    /// Number of splats that were too transparent to be sampled.
     #[serde(default, skip_serializing_if = "is_none")]
     pub transparent: u64,
-    /// What the size and the place of splats were compared with; nothing where none were left out for it.
+    /// Size and place that splats were compared with; `None` where no splats were left out for these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub usual_splat: Option<UsualSplat>,
-    /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders
-    /// that former versions wrote.
+    /// Number of vertices that are in another cell of the coarse grid than the vertex before; `None` for
+    /// folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jumps: Option<u64>,
     /// Hash of the bytes of all vertices.
@@ -155,7 +156,7 @@ fn is_none(count: &u64) -> bool {
     *count == 0
 }
 
-/// Fewer vertices than this are carried over in a second or two in any order.
+/// Number of vertices below which a model is carried over in a second or two in any order.
 const MANY: u64 = 500_000;
 
 impl SourceRecord {
@@ -167,7 +168,8 @@ impl SourceRecord {
         self.tiles.iter().map(|tile| tile.path.clone()).collect()
     }
 
-    /// What is named as the model, where it is now: tiles moved to another folder have their names there.
+    /// Name of the model where its files are now: its file or its tiles, or `elsewhere`, where tiles that
+    /// were moved to another folder have the names that they had.
     ///
     /// # Errors
     /// A pattern matches no file.
@@ -211,15 +213,16 @@ impl SourceRecord {
         self
     }
 
-    /// Whether more than a fifth of the vertices are in another cell of the coarse grid than the one before,
-    /// as far as that is known: all, or runs of few, are in random order. Rows of a surface leave a cell at
-    /// one of thirty vertices.
+    /// Whether the vertices come in no order in space: more than a fifth of them are in another cell of the
+    /// coarse grid than the vertex before, as where all vertices, or runs of few, are in random order. Rows
+    /// of a surface leave a cell at one of thirty vertices. `false` where the number of such vertices is not
+    /// known.
     pub fn comes_in_no_order(&self) -> bool {
         self.jumps.is_some_and(|jumps| jumps > self.vertices / 5)
     }
 
-    /// What the order of the vertices costs a reconstruction, if they [come in
-    /// none](Self::comes_in_no_order).
+    /// Message on the time that a reconstruction takes because its vertices [come in no order in
+    /// space](Self::comes_in_no_order); `None` if they come in order, or are few.
     pub fn cost_of_order(&self) -> Option<String> {
         let jumps = self.jumps.filter(|_| self.vertices >= MANY && self.comes_in_no_order())?;
         Some(format!(
@@ -230,8 +233,8 @@ impl SourceRecord {
     }
 }
 
-/// Processor time per vertex in random order, or in that of runs of 2 to 4 vertices, over that in a coherent
-/// one: 0.6 and 2 million vertices with normals, 2000 and 100 000 samples, vectors of 8 to 16.
+/// Ratio of the processor time per vertex in random order, or in that of runs of 2 to 4 vertices, to that in
+/// a coherent one: 0.6 and 2 million vertices with normals, 2000 and 100 000 samples, vectors of 8 to 16.
 const TIMES: &str = "2 to 5";
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
@@ -286,30 +289,32 @@ pub struct SampledModel {
     pub bounds: Bounds,
     /// The map to local coordinates.
     pub frame: Frame,
-    /// How positions are stored in `samples.ply`.
+    /// Number type of the positions in `samples.ply`.
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
     /// Red, green and blue of each sample: the model's own, averaged over its vertices. None where the model
     /// has none, or they were not wanted.
     pub colors: Vec<[u8; 3]>,
-    /// How it was refined since it was sampled, first to last.
+    /// Refinements since the model was sampled, first to last.
     pub refinements: Vec<Refinement>,
-    /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
+    /// Triangles between samples, from the model's faces; empty where the model has no faces, or triangles
+    /// were not wanted.
     pub triangles: Vec<[u32; 3]>,
     /// Number of triangles of the model that refer to a vertex that there is not. Not kept in the folder.
     pub faces_without_vertex: u64,
-    /// The model's faces are such a tangle that no triangles were made of them. Not kept in the folder.
+    /// Whether the model's faces are such a tangle that no triangles were made of them. Not kept in the
+    /// folder.
     pub tangled_faces: bool,
     /// Number of vertices that were gathered in groups at a time, if they were.
     group_piece: u64,
     /// The cells, after sampling; see [`cells_or_resample`](Self::cells_or_resample).
     kept: Option<KeptCells>,
-    /// The folder that it was read from, and the hash of the `samples.ply` there.
+    /// Folder that the model was read from, and the hash of the `samples.ply` there.
     pub(crate) folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
     pub(crate) attributes: OnceLock<Arc<SampleAttributes>>,
-    /// What is made of the model where it cannot be read from anywhere as it is.
+    /// Cache of what is made of a model that cannot be read from anywhere as it is.
     cache: Arc<Cache>,
 }
 
@@ -329,7 +334,7 @@ struct ModelDescription {
     refinement: Vec<Refinement>,
 }
 
-/// How clusters were split before that was written down.
+/// Splitting of clusters in folders that former versions wrote without naming it.
 fn without_layers() -> Splitting {
     Splitting::VolumeSurface
 }
@@ -344,16 +349,16 @@ struct SamplingRecord {
     cell_size: f64,
     #[serde(default = "without_layers")]
     splitting: Splitting,
-    /// What samples are spread by.
+    /// Measure by which samples are spread.
     #[serde(default, skip_serializing_if = "By::is_error")]
     by: By,
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     group_level: Option<u32>,
-    /// Number of vertices that were gathered in groups at a time; all of them where not given.
+    /// Number of vertices that were gathered in groups at a time; all vertices where not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     group_piece: Option<u64>,
-    /// What placed the samples, if not their vertices alone.
+    /// Placement of the samples, if other than by their vertices alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     placement: Option<Placement>,
     /// The least opacity of splats that were sampled, if any were left out for it.
@@ -442,7 +447,7 @@ fn damaged(folder: &Path, what: &str) -> Error {
 }
 
 impl SamplingRecord {
-    /// As it was asked for, without what was left out.
+    /// Options as they were asked for, with those parts to skip that are not there.
     fn options(&self, skip: Skip) -> Sampling {
         Sampling {
             target: self.target,
@@ -458,7 +463,7 @@ impl SamplingRecord {
     }
 }
 
-/// The cause of errors about a source that is gone, or is not what was sampled: another path may help.
+/// Cause of errors about a source that is gone, or is not the model that was sampled: another path may help.
 #[derive(Debug)]
 struct OtherSource;
 
@@ -476,7 +481,7 @@ pub fn is_other_source(error: &Error) -> bool {
 }
 
 impl SampledModel {
-    /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
+    /// Completes the samples, whose positions are rounded as `samples.ply` stores them, so that working in
     /// memory and through the folder give the same bytes.
     pub(crate) fn new(
         source: SourceRecord,
@@ -519,8 +524,8 @@ impl SampledModel {
         })
     }
 
-    /// This model with more samples behind those that it has, local positions and normals (zero where
-    /// unknown), other triangles and cells.
+    /// Copy of this model with new samples behind its own, given by local positions and normals (zero where
+    /// unknown), and with other triangles and cells.
     pub(crate) fn refined(
         &self,
         (positions, normals): (Vec<Vec3>, Vec<Vec3>),
@@ -551,7 +556,7 @@ impl SampledModel {
         })
     }
 
-    /// How its clusters were split, and will be.
+    /// Rule by which clusters were split while sampling, and are split by refinements.
     pub(crate) fn rule(&self) -> SplitRule {
         let SourceRecord { vertices, non_finite, transparent, .. } = self.source;
         let (finite, edge) = (
@@ -566,7 +571,7 @@ impl SampledModel {
         Opaque::new(model, self.sampling.min_opacity, self.source.usual_splat)
     }
 
-    /// How vertices were gathered in groups, if they were.
+    /// Cubes in which vertices were gathered in groups; `None` if they were not.
     pub(crate) fn cubes(&self) -> Option<Cubes> {
         let edge = self.sampling.grouping.edge(self.cell_size, &self.frame)?;
         Some(Cubes { edge, piece: self.group_piece })
@@ -601,17 +606,17 @@ impl SampledModel {
         Arc::new(Cache::in_new_folder(begun, CACHE))
     }
 
-    /// What is made of the model where it cannot be read from anywhere as it is.
+    /// Cache of what is made of a model that cannot be read from anywhere as it is.
     pub fn cache(&self) -> &Arc<Cache> {
         &self.cache
     }
 
-    /// Has this cache from now on: what was made of the model when it was sampled.
+    /// Sets the cache to that which was made of the model when it was sampled.
     pub fn set_cache(&mut self, cache: Arc<Cache>) {
         self.cache = cache;
     }
 
-    /// As [`save`](Self::save), to a folder that was begun before.
+    /// Saves as [`save`](Self::save) does, to a folder that was begun before.
     ///
     /// # Errors
     /// As of [`save`](Self::save).
@@ -637,12 +642,12 @@ impl SampledModel {
             output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
         }
         self.cache.link_to(&new.path().join(CACHE));
-        // What came there meanwhile is not lost.
+        // A file of another kind that came into the folder meanwhile is not lost.
         Self::check_target(folder)?;
         new.commit()
     }
 
-    /// What `simod.toml` says, in a folder with these samples.
+    /// Content of `simod.toml` in a folder with these samples.
     fn description(&self, folder: &Path, samples_fingerprint: String) -> ModelDescription {
         ModelDescription {
             format: FORMAT.to_owned(),
@@ -680,7 +685,8 @@ impl SampledModel {
         }
     }
 
-    /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
+    /// Refuses a folder that [`save`](Self::save) may not write to: better known before a large model is
+    /// sampled.
     ///
     /// # Errors
     /// Something is there that is no sampled model, or holds other files as well.
@@ -702,7 +708,7 @@ impl SampledModel {
         if !Self::is_at(folder) {
             return refused("exists and is no sampled model".to_owned());
         }
-        // What is replaced is removed: nothing of the user's own.
+        // Replacing removes the folder's files, so there may be none of the user's own.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
         let foreign = |name: &std::ffi::OsStr| {
             let left = name.to_str().is_some_and(|n| n.starts_with(".simod-") && n.ends_with(".part"));
@@ -714,7 +720,7 @@ impl SampledModel {
         }
     }
 
-    /// Whether there is a folder of a sampled model, as far as its names tell.
+    /// Whether the folder is one of a sampled model, as far as the names of its files tell.
     pub(crate) fn is_at(folder: &Path) -> bool {
         folder.join(DESCRIPTION).is_file()
     }
@@ -765,8 +771,9 @@ impl SampledModel {
         })
     }
 
-    /// A sampled model, as [`load`](Self::load) reads it, with what [`read_deformed`](Self::read_deformed)
-    /// reads of several files. The first of them is read beside the samples.
+    /// Sampled model, as [`load`](Self::load) reads it, with the deformed samples that
+    /// [`read_deformed`](Self::read_deformed) reads of several files. The first of them is read beside the
+    /// samples.
     ///
     /// # Errors
     /// As of [`load`](Self::load) and [`read_deformed`](Self::read_deformed).
@@ -784,16 +791,17 @@ impl SampledModel {
         Ok((sampled, deformed))
     }
 
-    /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is
-    /// none, or it cannot be read.
+    /// Content of a file in the folder that the model was read from, of at most `most` bytes; `None` where
+    /// there is no such file, or it cannot be read.
     pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
         let (folder, _) = self.folder.as_ref()?;
         input::read(&folder.join(name), most).ok()
     }
 
-    /// Puts a file into the folder that it was read from, if there is one, unless another process is writing
-    /// that, or it has other samples by now: what `write` makes of it, of about so many bytes. What is made
-    /// again of the rest in need goes by here: a link is not followed, and nobody waits for the disk.
+    /// Puts a file into the folder that the model was read from, if there is one, unless another process is
+    /// writing the folder, or it has other samples by now: `write` makes the content, of about
+    /// `expected_bytes` bytes. Files that can be made again from the rest go by here: a link is not followed,
+    /// and nobody waits for the disk.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -825,7 +833,8 @@ impl SampledModel {
         self.kept
     }
 
-    /// The cells that are in memory, checked against the model: what was read from a file may lie.
+    /// Cells that are in memory, checked against the model: cells that were read from a file may be of
+    /// another one.
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.
@@ -840,7 +849,7 @@ impl SampledModel {
         Ok(kept)
     }
 
-    /// The error of each sample's clusters, the largest; local units. It is 0 where they are a single place.
+    /// Largest error of each sample's clusters; local units. It is 0 where the clusters are a single place.
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.
@@ -917,7 +926,7 @@ impl SampledModel {
         Ok(model)
     }
 
-    /// The error for a source that is not what was sampled.
+    /// Error of a source that is not the model that was sampled.
     pub(crate) fn source_changed(&self, path: &Path) -> Error {
         let newer = self.newer_tiles();
         let which = match &newer[..] {
@@ -967,7 +976,8 @@ impl SampledModel {
         self.write_as(path, positions, normals, self.position_type)
     }
 
-    /// Writes positions of all samples (the model's coordinates), with what other programs show and keep.
+    /// Writes positions of all samples (the model's coordinates), with the properties that other programs
+    /// show and keep.
     fn write_as(
         &self,
         path: &Path,
@@ -979,7 +989,7 @@ impl SampledModel {
         simod_model::write_vertices(path, positions, besides, scalar, &["SIMOD samples".to_owned()])
     }
 
-    /// Local deformed positions as they are after having been written and read again.
+    /// Local deformed positions, rounded as by writing and reading them.
     pub fn rounded(&self, deformed: &[Vec3]) -> DeformedPositions {
         self.rounded_places(deformed.iter().map(|p| self.frame.to_model(*p)))
     }
@@ -1019,10 +1029,10 @@ impl SampledModel {
         self.write_as(path, positions.into_iter(), normals, scalar)
     }
 
-    /// Reads deformed samples, in the order of the samples. Where the file's vertices have
-    /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as
-    /// a tool may leave stale ones. A coordinate that is what the file's precision makes of the sample's own
-    /// did not move, and it is noted where that precision is too coarse for the model.
+    /// Reads deformed samples, in the order of the samples. Where the file's vertices have ids, these tell
+    /// which is which; otherwise their order does. Normals in the file are not looked at, as a tool may leave
+    /// stale ones. A coordinate that is the sample's own, rounded to the file's precision, did not move, and
+    /// it is noted where that precision is too coarse for the model.
     ///
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
@@ -1048,8 +1058,8 @@ impl SampledModel {
         Ok(DeformedPositions::new(&self.frame, rest, &places))
     }
 
-    /// What is to be said of deformed samples whose numbers are further apart than the model can do with, and
-    /// than those of the samples.
+    /// Warning about deformed samples whose numbers are further apart than a millionth part of the model's
+    /// diagonal, and than those of the samples at rest.
     fn coarseness(&self, precision: &StoredPrecision) -> Option<String> {
         let (step, diagonal) = (precision.coarsest(), self.bounds.diagonal());
         let own = || {
@@ -1066,8 +1076,8 @@ impl SampledModel {
         })
     }
 
-    /// Local positions of deformed samples, which are in the model's coordinates; `whose` they are, for
-    /// errors.
+    /// Local positions of deformed samples, which are in the model's coordinates; `whose` names their source,
+    /// for errors.
     ///
     /// # Errors
     /// One is not finite, or too far away.
@@ -1100,7 +1110,7 @@ impl SampledModel {
     }
 }
 
-/// So many files, for people.
+/// Number of files as text, for people.
 fn files(count: usize) -> String {
     match count {
         0 => "one file that is a model by itself".to_owned(),
@@ -1122,7 +1132,7 @@ pub(crate) fn file_fingerprint(path: &Path) -> Result<String> {
     }
 }
 
-/// What a file of samples holds. For P_S alone, which fits in memory.
+/// Content of a file of samples. It is held in memory, as P_S alone has to fit there.
 struct SamplesFile {
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,

@@ -40,7 +40,8 @@ pub fn write_sealed(
     to.write_all(&checksum.to_le_bytes())
 }
 
-/// The version of a file that begins with these letters, and its content; or what is wrong with it.
+/// Version of a file that begins with these letters, and its content; or an error text that says what is
+/// wrong with the file.
 pub fn unseal<'a>(bytes: &'a [u8], letters: &[u8; 8]) -> Result<(u32, &'a [u8]), &'static str> {
     let (sealed, checksum) = bytes.split_last_chunk().ok_or("it is cut off")?;
     let content = sealed.strip_prefix(letters).ok_or("it does not begin as such a file does")?;
@@ -51,8 +52,8 @@ pub fn unseal<'a>(bytes: &'a [u8], letters: &[u8; 8]) -> Result<(u32, &'a [u8]),
     Ok((u32::from_le_bytes(*version), content))
 }
 
-/// The content of a file that begins with these letters and is of this version. `damaged` makes the error of
-/// what is wrong with it.
+/// Content of a file that begins with these letters and is of this version. `damaged` makes the error from a
+/// description of the damage.
 ///
 /// # Errors
 /// The file is damaged, or of another version.
@@ -68,12 +69,12 @@ pub fn unsealed<T: DeserializeOwned>(
     postcard::from_bytes(content).map_err(|e| damaged("its content makes no sense").because(e))
 }
 
-/// What is wrong with a file of another version.
+/// Message on a file of another version.
 pub const UNKNOWN_VERSION: &str = "it is of a version that is not known";
 
-/// What a file has at its end: sealed content of at most `longest` bytes, behind which its length stands in
-/// eight bytes. Gives the file, the content, and where it begins. `damaged` makes the error of what is wrong
-/// with it.
+/// Reads sealed content of at most `longest` bytes from a file's end, where its length stands in the last
+/// eight bytes. Gives the file, the content, and the offset at which the content begins. `damaged` makes the
+/// error from a description of the damage.
 ///
 /// # Errors
 /// The file cannot be read, or is damaged.

@@ -1,24 +1,24 @@
-//! How far apart the numbers of a file are, by the numbers themselves: those of a program that has single
+//! Precision of a file's coordinates, by the numbers themselves: those of a program that has single
 //! precision, or writes few digits, are coarser than the type that the file says.
 
 use std::fmt::Write;
 
 use glam::DVec3;
 
-/// Digits as many as tell singles from each other, or doubles for all that matters here: who has fewer,
-/// rounds to decimal digits.
+/// Number of digits that tell singles from each other, and of those that tell doubles, for all that matters
+/// here: a program that writes fewer rounds to decimal digits.
 const OF_SINGLES: i32 = 8;
 const OF_DOUBLES: i32 = 12;
 
-/// Fewer digits do not tell that numbers are rounded: they may be whole.
+/// Least number of digits that tell that numbers are rounded: numbers of fewer may be whole.
 const LEAST: i32 = 5;
 
 /// The numbers of positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StoredPrecision {
-    /// All along an axis are exact in single precision.
+    /// Whether all numbers along each axis are exact in single precision.
     is_single: [bool; 3],
-    /// Such an axis has all digits of singles, and no decimal ones.
+    /// Whether numbers along such an axis have all digits of singles, and no decimal ones.
     has_all_digits: [bool; 3],
     /// Decimal digits of any number of the other axes, and decimals behind the point, at most; nothing where
     /// these are many.
@@ -65,8 +65,8 @@ impl StoredPrecision {
         Self { is_single, has_all_digits, decimal, largest: largest.into() }
     }
 
-    /// From a coordinate along an axis to the next one that the file tells from it: zero where these are
-    /// doubles.
+    /// Distance from a coordinate along an axis to the next one that the file tells from it: zero where these
+    /// are doubles.
     fn step(&self, axis: usize, at: f64) -> f64 {
         let single = if self.is_single[axis] { single_step(at) } else { 0.0 };
         single.max(self.decimal_step(axis, at))
@@ -84,23 +84,24 @@ impl StoredPrecision {
         (0..3).map(|axis| self.step(axis, self.largest[axis])).fold(0.0, f64::max)
     }
 
-    /// How far a coordinate along an axis may be from what the file has rounded to decimals, if it has: where
-    /// other axes have singles, it was rounded to one before.
+    /// Largest difference of a coordinate along an axis from the number that was rounded to the file's
+    /// decimals; 0 if the file has none. Where other axes have singles, the number was rounded to a single
+    /// before.
     fn decimal_bound(&self, axis: usize, at: f64) -> f64 {
         let step = self.decimal_step(axis, at);
         let single = if self.is_single.contains(&true) { single_step(at) } else { 0.0 };
-        // A little more, as what is read is rounded once more.
+        // The bound is a little larger, as numbers that are read are rounded once more.
         if step > 0.0 { 0.5 * (1.0 + 1e-6) * step + 0.5 * single } else { 0.0 }
     }
 
-    /// Whether a coordinate along an axis is what the file makes of another one.
+    /// Whether a coordinate along an axis, `found` in the file, may be `from` as the file rounds it.
     pub fn is_rounded(&self, axis: usize, found: f64, from: f64) -> bool {
         let is_single = self.is_single[axis] && f64::from(from as f32) == found;
         is_single || (found - from).abs() <= self.decimal_bound(axis, found)
     }
 }
 
-/// From a number to the next one in single precision.
+/// Distance from a number to the next one in single precision.
 fn single_step(at: f64) -> f64 {
     f64::from((at.abs() as f32).next_up()) - f64::from(at.abs() as f32)
 }
@@ -128,7 +129,8 @@ mod tests {
                 let (from, found) = (places[axis], written[axis]);
                 let is_rounded = |from: f64| precision.is_rounded(axis, found, from);
                 assert!(found == from || is_rounded(from), "{from} is {found}");
-                // What moves by more than a step, or by more than two roundings, does so.
+                // A coordinate that moves by more than a step, or by more than two roundings, is not taken
+                // for rounded.
                 let far =
                     precision.step(axis, found).max(2.0 * precision.decimal_bound(axis, found)).max(1e-9);
                 assert!(!is_rounded(from + 1.6 * far) && !is_rounded(from - 1.6 * far), "{from} is {found}");

@@ -1,9 +1,8 @@
 //! Tables of TOML read into what serde derives reading for, with the values and complaints of the crate
 //! `toml`, which parses them; but no tables as tuples, and no keys as numbers, which nobody here asks for.
 //!
-//! The crate `toml` has a deserializer for tables, and others for what is told with its place, for keys,
-//! names and dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled
-//! once.
+//! The crate `toml` has a deserializer for tables, and others for values with their place, for keys, names
+//! and dates: derived code is compiled for each of them. Here is one for all, so that it is compiled once.
 
 use serde::de::{
     DeserializeOwned, DeserializeSeed, EnumAccess, Error as _, IgnoredAny, MapAccess, SeqAccess, Unexpected,
@@ -19,7 +18,8 @@ use toml::Spanned as Placed;
 use toml::de::{DeTable, DeValue};
 use toml::value::Datetime;
 
-/// Why a text is no such table: what is wrong, and the bytes that it is about, where that is known.
+/// Error of a text that is not the table that was asked for: the message, and the bytes of the text that it
+/// is about, where these are known.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TableError {
     message: String,
@@ -31,17 +31,17 @@ impl TableError {
         Self { message: message.into(), span: None }
     }
 
-    /// What is wrong; it may have several lines.
+    /// Message; it may have several lines.
     pub fn message(&self) -> &str {
         &self.message
     }
 
-    /// Where in the text, in bytes.
+    /// Range of the text that the error is about, in bytes; `None` if unknown.
     pub fn span(&self) -> Option<Range<usize>> {
         self.span.clone()
     }
 
-    /// This error, about that place unless it is about one within.
+    /// Copy of this error with the range `span`, unless the error has a range already.
     fn located(self, span: Option<&Range<usize>>) -> Self {
         Self { span: self.span.or_else(|| span.cloned()), ..self }
     }
@@ -61,7 +61,7 @@ impl serde::de::Error for TableError {
     }
 }
 
-/// What a text of TOML says.
+/// Reads a value from a text in TOML.
 ///
 /// # Errors
 /// The text is no TOML, or another table: what is wrong, and where.
@@ -71,7 +71,8 @@ pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, TableError> {
     T::deserialize(TableNode { what: NodeContent::Table(table.get_ref()), span: None })
 }
 
-/// A value with the bytes of the text that it stands at, if [`read`] reads it. It is compared by its value.
+/// Value with the bytes of the text that it stands at, if [`read`] reads it. Spanned values are compared by
+/// the value alone.
 #[derive(Debug, Clone, Default)]
 pub struct Spanned<T> {
     span: Range<usize>,
@@ -84,7 +85,7 @@ impl<T> Spanned<T> {
         Self { span, value }
     }
 
-    /// Where in the text, in bytes.
+    /// Range of the value in the text, in bytes.
     pub fn span(&self) -> Range<usize> {
         self.span.clone()
     }
@@ -406,7 +407,7 @@ impl<'a> MapAccess<'a> for Entries<'a> {
     }
 }
 
-/// A variant of an enumeration, with what it holds if it is more than a name.
+/// Variant of an enumeration, with its content if it is more than a name.
 struct Variant<'a> {
     name: TableNode<'a>,
     content: Option<TableNode<'a>>,
@@ -586,7 +587,7 @@ mod tests {
         "other", "params.x",
     ];
 
-    /// Every value below every key, alone and in a list, and texts that are no TOML.
+    /// Texts with every value below every key, alone and in a list, and texts that are no TOML.
     fn texts() -> impl Iterator<Item = String> {
         let of_key =
             |key| VALUES.map(|value| [format!("# é\n{key} = {value}\n"), format!("{key} = [{value}]")]);

@@ -66,7 +66,7 @@ fn handle(turned: bool) -> Sweep<RopeRelief> {
 struct Band {
     /// Start and end, as distances along the profile.
     range: [f64; 2],
-    /// How often the tile fits around the body, and across the band.
+    /// Number of tiles around the body, and across the band.
     repeats: [f64; 2],
     /// Height of the ornament; negative where it is engraved.
     depth: f64,
@@ -126,7 +126,7 @@ impl BodyRelief {
     }
 }
 
-/// The distance along the profile at which it first reaches a height, coming from the foot.
+/// Distance along the profile at which the profile first reaches a height, coming from the foot.
 fn distance_at_height(profile: &BSpline, height: f64) -> f64 {
     const STEPS: i32 = 2000;
     let step = profile.length() / f64::from(STEPS);

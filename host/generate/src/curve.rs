@@ -12,7 +12,7 @@ pub(super) struct BSpline {
     lengths: Vec<f64>,
 }
 
-/// A place of a curve, and the direction in which it goes on, by arc length.
+/// Point of a curve, and the direction in which the curve goes on, by arc length.
 #[derive(Clone, Copy)]
 pub(super) struct CurvePoint {
     pub position: DVec2,

@@ -1,4 +1,4 @@
-//! Rows of vertices on patches: how many where, and the triangles between them.
+//! Rows of vertices on patches: their numbers and places, and the triangles between them.
 //!
 //! Every row has its own number of columns, so a vase is sampled evenly from its foot to its belly, and poles
 //! are single vertices. Two neighbouring rows are sewn together like a zip.

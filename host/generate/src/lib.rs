@@ -1,7 +1,7 @@
 //! simod-generate: models of any size, made from formulas: for tests, measurements and the demonstration.
 //!
 //! A [`Surface`] is a list of patches with rows of vertices, evaluated in double precision as they are asked
-//! for. What it keeps grows with the number of rows (the square root of the number of vertices); vertices and
+//! for. Its memory grows with the number of rows (the square root of the number of vertices); vertices and
 //! triangles come in blocks of bounded size, computed on all cores, in the same order and with the same bits
 //! for any number of threads.
 
@@ -141,7 +141,7 @@ impl Surface {
         self.in_pieces(|piece| self.triangles_of(piece), |triangles| visit(&triangles))
     }
 
-    /// All of it at once, for what is small enough.
+    /// Whole mesh at once, for surfaces that are small enough.
     ///
     /// # Errors
     /// The model has more vertices than 32 bits can count.

@@ -154,7 +154,7 @@ fn arc(center: [f64; 2], radii: [f64; 2], degrees: [f64; 2]) -> Vec<DVec2> {
         .collect()
 }
 
-/// 0 below `low`, 1 above `high`, smooth between them.
+/// Smooth step: 0 below `low`, 1 above `high`.
 fn step_between(low: f64, high: f64, x: f64) -> f64 {
     smoothstep((x - low) / (high - low))
 }

@@ -37,7 +37,7 @@ pub struct ModelOptions {
     pub colors: bool,
     /// Whether to write triangles.
     pub faces: bool,
-    /// Added to all positions, as georeferenced data has it.
+    /// Vector added to all positions, as georeferenced data has it.
     pub offset: DVec3,
 }
 
@@ -68,7 +68,8 @@ pub struct GeneratedInfo {
     pub bytes: u64,
 }
 
-/// Size of the file that [`write_ply`] will write, where it can be told beforehand: not in text.
+/// Size of the file that [`write_ply`] will write, where the encoding lets it be told beforehand: not in
+/// text.
 ///
 /// # Errors
 /// As [`write_ply`] has for its options.
@@ -124,7 +125,7 @@ pub fn write_ply(
     Ok(GeneratedInfo { vertices: surface.vertices(), faces: format.faces, bytes })
 }
 
-/// How one model is encoded.
+/// Encoding of one model.
 struct PlyFormat<'a> {
     options: &'a ModelOptions,
     header: String,
@@ -237,7 +238,7 @@ impl<'a> PlyFormat<'a> {
     }
 }
 
-/// Where the numbers of one element go.
+/// Writer of the numbers of one element in an encoding.
 trait Sink {
     fn float(&mut self, x: f32);
     fn double(&mut self, x: f64);

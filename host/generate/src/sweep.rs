@@ -8,7 +8,7 @@ use super::SurfaceVertex;
 use super::curve::{BSpline, CurvePoint};
 use super::layout::SurfacePatch;
 
-/// What a sweep turns around.
+/// Axis about which a sweep turns.
 pub(super) enum SweepAxis {
     /// The y axis.
     Straight,
@@ -68,7 +68,7 @@ struct AxisFrame {
     tangent: DVec3,
     outward: DVec3,
     binormal: DVec3,
-    /// How fast the tangent turns towards `outward`.
+    /// Curvature of the axis: rate at which the tangent turns towards `outward`.
     curvature: f64,
 }
 
@@ -120,7 +120,7 @@ impl<R: Relief> SurfacePatch for Sweep<R> {
     }
 }
 
-/// What all vertices at one distance share.
+/// Data that all vertices at one distance share.
 struct SweepRing {
     distance: f64,
     profile: CurvePoint,

@@ -137,7 +137,7 @@ fn volumes_are_those_of_the_shapes() {
     let round = PI * 0.15 * 0.15 * 2.0;
     assert!((volume(Shape::Cylinder) / round - 1.0).abs() < 2e-3, "{}", volume(Shape::Cylinder));
     assert!((volume(Shape::Bar) / 0.18 - 1.0).abs() < 1e-4, "{}", volume(Shape::Bar));
-    // What is under the bumps: triangles as high as a third of their corners' heights.
+    // Volume under the bumps: prisms below the triangles, as high as the mean of the corners' heights.
     let (vertices, triangles) = Surface::new(Shape::BumpyPlane, 50_000).unwrap().mesh().unwrap();
     let under = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|i| vertices[i as usize].position);

@@ -1,4 +1,4 @@
-//! How the small details of a surface turn against the smooth surface beneath them.
+//! Rotation of the small details of a surface against the smooth surface beneath them.
 //!
 //! M. Botsch, O. Sorkine, *On linear variational surface deformation methods*, IEEE TVCG 2008, judge methods
 //! by whether details turn along with the surface. As a figure: the mesh is smoothed by weights that are
@@ -18,7 +18,7 @@ use super::triangle::{corners, cross, key, pair, sides, sorted};
 pub struct Details<'a> {
     rest: &'a [DVec3],
     triangles: &'a [[u32; 3]],
-    /// Where each vertex' neighbours begin, and all of them.
+    /// Index of each vertex' first neighbour, and (`neighbours`) the neighbours of all vertices.
     first: Vec<u32>,
     neighbours: Vec<u32>,
     /// Walks of the steps that smooth once, and of twice as many.
@@ -44,8 +44,9 @@ pub struct DetailRotation {
 }
 
 impl<'a> Details<'a> {
-    /// Details are what is smaller than `radius`, the standard deviation of the smoothing, in the positions'
-    /// unit: at 0 there are none. It takes about 17 radius / edge steps over the mesh.
+    /// Details are the parts of a surface that are smaller than `radius`, the standard deviation of the
+    /// smoothing, in the positions' unit: at 0 there are none. It takes about 17 radius / edge steps over the
+    /// mesh.
     pub fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]], radius: f64) -> Self {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let mut sides = sorted(sides(valid.copied()));
@@ -62,7 +63,7 @@ impl<'a> Details<'a> {
         };
         let mut edges = sorted(sides().flat_map(both_ways).filter(|[a, b]| a != b));
         edges.dedup();
-        // How many each vertex has, added up.
+        // Index of each vertex' first neighbour: the numbers of neighbours, added up.
         let mut first = vec![0; rest.len() + 1];
         edges.iter().for_each(|edge| first[pair(*edge)[0] as usize + 1] += 1);
         (1..first.len()).for_each(|i| first[i] += first[i - 1]);
@@ -239,21 +240,22 @@ impl<'a> Details<'a> {
     }
 }
 
-/// So many steps of smoothing, each half way to the mean W of the neighbours, as a sum of Chebyshev's
+/// n steps of smoothing, each of them half way to the mean W of the neighbours, as a sum of Chebyshev's
 /// polynomials: ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those
-/// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all end within a few √n of
-/// them, so that so many polynomials are as good as n steps, and the rest is less than rounding.
+/// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all paths end within a few
+/// √n steps, so that as many polynomials are as good as n steps, and the rest is less than rounding.
 struct SmoothingSteps {
     shares: Vec<f64>,
 }
 
 impl SmoothingSteps {
-    /// What is less than this part of all is left out.
+    /// Share of the whole below which a polynomial is left out.
     const LEAST: f64 = 1e-19;
 
     fn new(steps: u32) -> Self {
         let n = f64::from(steps);
-        // Of 2 n over n paths of 2²ⁿ; those further off are told by the ones before them.
+        // The share of the middle, 2 n over n paths of 2²ⁿ; those of the places further off follow from the
+        // ones before them.
         let mut share = (1..=steps).map(|i| 1.0 - 0.5 / f64::from(i)).product::<f64>();
         let mut shares = vec![share];
         for k in (1..=steps).map(f64::from) {
@@ -347,7 +349,7 @@ mod tests {
     #[test]
     fn polynomials_smooth_as_step_after_step_does() {
         let (rest, triangles) = bumpy(20);
-        // And a vertex that no triangle has.
+        // The mesh gets a vertex that no triangle has.
         let rest: Vec<DVec3> = rest.into_iter().chain([DVec3::splat(5.0)]).collect();
         for (radius, about) in [(0.0, 0), (0.04, 1), (0.3, 20), (1.5, 500)] {
             let details = Details::new(&rest, &triangles, radius);

@@ -1,6 +1,6 @@
-//! How far surfaces are from each other: the Hausdorff distance and the root mean square, one way and both
-//! (P. Cignoni, C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics
-//! Forum 1998), from the vertices of one mesh to the triangles of the other.
+//! Distances between surfaces: the Hausdorff distance and the root mean square, one way and both (P. Cignoni,
+//! C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics Forum 1998),
+//! from the vertices of one mesh to the triangles of the other.
 //!
 //! As vertices alone are looked at, the Hausdorff distance is a lower bound: between its vertices a surface
 //! can be farther away, by no more than its longest edges.
@@ -18,7 +18,7 @@ const BLOCK: usize = 1 << 14;
 /// Points that one thread looks up one after the other.
 const ROW: usize = 1 << 9;
 
-/// How far the points of a surface are from another one, in the positions' unit.
+/// Distances of the points of a surface from another one, in the positions' unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Distances {
     /// Root of the mean square over the surface: each vertex stands for a third of its triangles' area.
@@ -32,7 +32,7 @@ pub struct Distances {
 ///
 /// Memory: about 180 bytes for each triangle, and 30 more in the making.
 pub struct DistanceSurface {
-    /// In the order of the leaves.
+    /// Triangles in the order of the tree's leaves.
     facets: Vec<TreeTriangle>,
     tree: TriangleTree,
 }
@@ -40,7 +40,7 @@ pub struct DistanceSurface {
 /// A point of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OnSurface {
-    /// Which of the triangles it is on.
+    /// Index of the triangle that the point is on.
     pub triangle: u32,
     /// Weights of the triangle's corners, at least 0, which add up to 1.
     pub weights: DVec3,
@@ -49,8 +49,8 @@ pub struct OnSurface {
 }
 
 impl DistanceSurface {
-    /// The triangles between these positions, but for those without an area: their sides belong to others.
-    /// Nothing if none is left.
+    /// Surface of the triangles between these positions, without those that have no area: their sides belong
+    /// to others. None if no triangle is left.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let facets =
             triangles.iter().zip(0..).filter_map(|(t, i)| Some(TreeTriangle(corners(positions, *t)?, i)));
@@ -64,8 +64,8 @@ impl DistanceSurface {
         Some(Self { facets, tree })
     }
 
-    /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where
-    /// `near` is the place of one that is about as near; `waiting` is room for the search.
+    /// Triangle nearest to a point, by its place in the order, and the nearest point of the triangle. Quick
+    /// where `near` is the place of a triangle that is about as near; `waiting` is room for the search.
     fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<QueuedPart>) -> (usize, DVec3) {
         let point = nearest_on(self.facets[near].0, p);
         let (mut best, mut square) = ((near, point), p.distance_squared(point));
@@ -91,8 +91,8 @@ impl DistanceSurface {
         Some(self.facets[facet].on_surface(point))
     }
 
-    /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
-    /// side; of several triangles there, the first one.
+    /// First point at which a ray of a finite origin and direction, which is not zero, meets the surface,
+    /// from either side; on the first one of several triangles there.
     pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
         let mut first = None::<(f64, &TreeTriangle)>;
         self.tree.on_ray(origin, direction, |place| {
@@ -105,8 +105,8 @@ impl DistanceSurface {
         first.map(|(t, facet)| facet.on_surface(origin + t * direction))
     }
 
-    /// How far another surface is from this one: the corners of its triangles. All 0 for one without any.
-    /// Begins no stage of the progress, and advances it by the positions.
+    /// Distances of another surface, taken at the corners of its triangles, from this one. All 0 for a
+    /// surface without triangles. Begins no stage of the progress, and advances it by the positions.
     ///
     /// # Errors
     /// The user cancelled.
@@ -147,7 +147,7 @@ impl DistanceSurface {
 }
 
 impl TreeTriangle {
-    /// A point that is on it but for rounding.
+    /// Point of the triangle, which `position` is but for rounding.
     fn on_surface(&self, position: DVec3) -> OnSurface {
         let [a, b, c] = self.0;
         let normal = cross(self.0);
@@ -157,8 +157,8 @@ impl TreeTriangle {
     }
 }
 
-/// How far along a ray it meets a triangle, in lengths of the direction: by the volumes that the ray spans
-/// with the sides (T. Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
+/// Distance along a ray to a triangle, in lengths of the direction: by the volumes that the ray spans with
+/// the sides (T. Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
 fn meets([a, b, c]: [DVec3; 3], origin: DVec3, direction: DVec3) -> Option<f64> {
     let (u, v) = (b - a, c - a);
     let across = direction.cross(v);
@@ -350,7 +350,7 @@ mod tests {
             let bumpy = |p: &DVec3| middle + *p * size * (1.0 + 0.2 * (9.0 * p.x).sin() * (7.0 * p.y).cos());
             let points: Vec<DVec3> = sphere.iter().map(bumpy).collect();
             let surface = DistanceSurface::new(&points, &triangles).unwrap();
-            // Points of it, near it, and so far from it that single precision does not tell how far.
+            // Points of the surface, near it, and so far from it that single precision does not tell how far.
             for i in 0..900 {
                 let t = f64::from(i);
                 let to = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 0.37).sin()).normalize_or_zero();

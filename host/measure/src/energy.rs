@@ -17,42 +17,44 @@ use super::triangle::{Edges, corners, cross};
 /// The energies of a deformed mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Energies {
-    /// As rigid as possible, with spokes and rims: the squared distance of each triangle's gradient from the
-    /// rotations that fit best about its corners.
+    /// Energy of as-rigid-as-possible deformation, with spokes and rims: the squared distance of each
+    /// triangle's gradient from the rotations that fit best about its corners.
     pub arap: f64,
-    /// σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over those that keep an area.
+    /// Symmetric Dirichlet energy: σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over the
+    /// triangles that keep an area.
     pub symmetric_dirichlet: f64,
-    /// The greatest of these energies, of one triangle.
+    /// The greatest symmetric Dirichlet energy of one triangle.
     pub symmetric_dirichlet_max: f64,
     /// Triangles of which no area is left, which would have an infinite one.
     pub collapsed: usize,
-    /// How lengths, areas and distortions are spread.
+    /// Histograms of lengths, areas and distortions.
     pub histograms: Histograms,
 }
 
-/// How amounts are spread over a mesh.
+/// Histograms of amounts over a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histograms {
-    /// Edges, by the binary logarithm of their length over that at rest.
+    /// Histogram of edges, by the binary logarithm of their length over that at rest.
     pub edges: Bins,
-    /// Triangles, by that of their area.
+    /// Histogram of triangles, by the binary logarithm of their area over that at rest.
     pub areas: Bins,
-    /// Triangles, by that of their symmetric Dirichlet energy over its least, which is 4.
+    /// Histogram of triangles, by the binary logarithm of their symmetric Dirichlet energy over its least,
+    /// which is 4.
     pub distortion: Bins,
 }
 
 /// Counts between two numbers, in bins of equal width.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Bins {
-    /// Where the first bin begins.
+    /// Lower end of the first bin.
     pub from: i32,
-    /// Where the last one ends.
+    /// Upper end of the last bin.
     pub to: i32,
     /// The number of values below the first bin.
     pub below: usize,
-    /// What is in each bin.
+    /// Number of values in each bin.
     pub counts: Vec<usize>,
-    /// What is above, or infinite.
+    /// Number of values above the last bin, or infinite.
     pub above: usize,
 }
 
@@ -131,8 +133,8 @@ impl Energies {
 /// A triangle's vertices, and its corners at rest and deformed.
 type BothTriangles = ([u32; 3], [DVec3; 3], [DVec3; 3]);
 
-/// The energy with spokes and rims of all triangles, about each of their corners: how far, squared, their
-/// gradients are from the rotation that fits best there, where `covariances` tell it.
+/// Energy with spokes and rims of all triangles, about each of their corners: the squared distance of the
+/// triangles' gradients from the rotation that fits best there, where `covariances` determine one.
 fn as_rigid_as_possible(all: &[BothTriangles], covariances: &[DMat3]) -> f64 {
     let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
     let energy = |(triangle, before, after): &BothTriangles| {
@@ -186,7 +188,7 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
     let squares: f64 = m.to_cols_array().iter().map(|x| x * x).sum();
     let size = squares.sqrt();
     let (linear, constant) = (-8.0 * m.determinant(), determinant(matrix));
-    // From above, where Newton's steps go down to it.
+    // The start is above the greatest root, so that Newton's steps descend to it.
     let mut greatest = 3f64.sqrt() * size;
     let mut slope = 0.0;
     for _ in 0..STEPS {
@@ -199,7 +201,8 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
             break;
         }
     }
-    // What the other eigenvalues lack, multiplied, which rows of the adjugate are long by.
+    // The slope is the product of the greatest eigenvalue's distances from the others, which the lengths of
+    // the adjugate's rows are proportional to.
     if slope.is_nan() || slope <= APART * size * squares {
         return None;
     }
@@ -259,7 +262,7 @@ mod tests {
             let columns =
                 [1.7, 2.9, 5.3].map(|k| DVec3::new(number(i, k), number(i, 1.3 * k), number(i, 2.1 * k)));
             let scale = 10f64.powi(i as i32 % 40 - 20);
-            // Some have no third direction, and some not even a second one.
+            // Some matrices have no third singular value above zero, and some not even a second one.
             let m = match i % 5 {
                 0 => outer(columns[0], columns[1]) + outer(columns[2], columns[0]),
                 1 => outer(columns[0], columns[1]),
@@ -273,7 +276,7 @@ mod tests {
             found += 1;
         }
         assert!(found > 1000, "{found}");
-        // Where directions tell nothing, nothing is made up.
+        // Matrices that determine no rotation give none.
         let nothing = DMat3::ZERO;
         assert_eq!(quickly(&nothing, &horn_matrix(nothing)), None);
         let mirror = DMat3::from_diagonal(DVec3::splat(-1.0));
@@ -317,7 +320,7 @@ mod tests {
             let at = f64::from(bins.from) + (fullest.0 as f64 + 0.5) / Bins::FINE as f64;
             assert!(*fullest.1 == total && (at - scale.log2()).abs() <= 0.5 / Bins::FINE as f64 + 1e-9);
         }
-        // Of a flat sheet that is stretched one way, the nearest rotation is none.
+        // The nearest rotation of a flat sheet that is stretched one way is the identity.
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.0)).collect();
         let wide: Vec<_> = flat.iter().map(|p| p.with_x(2.0 * p.x)).collect();
         let found = energies(&flat, &wide, &triangles);
@@ -325,7 +328,7 @@ mod tests {
             (found.arap - 1.0).abs() < 1e-9 && (found.symmetric_dirichlet - 6.25).abs() < 1e-9,
             "{found:?}"
         );
-        // And of one that is pressed together nothing is left.
+        // Triangles of a sheet that is pressed together collapse, and are counted.
         let gone: Vec<_> = flat.iter().map(|p| p.with_x(0.0)).collect();
         let found = energies(&flat, &gone, &triangles);
         assert!(found.collapsed > 1000 && found.symmetric_dirichlet_max.is_finite(), "{found:?}");

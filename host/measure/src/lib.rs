@@ -1,5 +1,5 @@
-//! simod-measure: what a deformation does to a mesh: changes of volume, lengths and areas, and how details
-//! turn; and how far the results of several are from each other.
+//! simod-measure: measures of a deformed mesh: changes of volume, lengths and areas, and the rotation of
+//! details; and distances between the results of several deformations.
 //!
 //! For meshes that are held in memory, `P_S` or a model that is small enough; [`beside`] alone is for models
 //! of any size. Positions are in any unit; triangles are indices into them, counter-clockwise as seen from

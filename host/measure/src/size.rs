@@ -15,8 +15,9 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     all.map(|c| c.map(|p| p - origin)).map(|[a, b, c]| a.cross(b).dot(c)).sum::<f64>() / 6.0
 }
 
-/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of
-/// another, the other way round. That much a mesh may lack that was made of a closed one by joining vertices.
+/// Whether a mesh holds a volume: all sides of triangles, but for one in a hundred, are also sides of another
+/// triangle, the other way round. A mesh may lack that many where it was made of a closed one by joining
+/// vertices.
 pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     let going = |up: bool| {
         let sides = sides(triangles.iter().copied()).filter(|[a, b]| (a < b) == up);
@@ -33,16 +34,16 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     all > 0 && (all - closed) * 100 <= all
 }
 
-/// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane,
-/// more where it is above, less below.
+/// Open mesh, which encloses a volume with the plane of its border: between each triangle and that plane,
+/// more where the triangle is above, less where it is below.
 pub struct OpenMesh {
     origin: DVec3,
     normal: DVec3,
 }
 
 impl OpenMesh {
-    /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up
-    /// to; nothing where there is no border, or the sum is nothing.
+    /// Plane in the middle of the border at rest, at right angles to the sum of the triangles' normals; none
+    /// where there is no border, or the sum is zero.
     pub fn from_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let sides = sorted(sides(valid.copied()).map(either_way));
@@ -56,7 +57,7 @@ impl OpenMesh {
         (length > 0.0).then_some(Self { origin: sum / length, normal: normal.try_normalize()? })
     }
 
-    /// The volume between the mesh and the plane, which stays where it is at rest.
+    /// Volume between the mesh and the plane, which stays where it is at rest.
     pub fn volume(&self, positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let all = triangles.iter().filter_map(|t| corners(positions, *t));
         // A prism: the triangle as seen along the normal, by its mean height.

@@ -1,8 +1,8 @@
-//! How amounts are spread.
+//! Spread of amounts over a mesh: mean, percentile and maximum.
 
 use serde::Serialize;
 
-/// How some amount is spread over a mesh; all 0 for a mesh without any.
+/// Spread of some amount over a mesh; all 0 for a mesh without any.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Spread {
     /// Root of the mean square.

@@ -15,14 +15,14 @@ const APART: usize = 1 << 12;
 /// Most triangles that have a disc around them: more seldom lie in a plane.
 const FLAT: usize = 64;
 
-/// A triangle with an area, and which it is.
+/// Triangle with an area, and its index.
 pub(crate) struct TreeTriangle(pub TriangleCorners, pub u32);
 
-/// Triangles by where they are.
+/// Tree of triangles by their positions.
 ///
 /// Memory: 256 bytes for each node, of which there is one for two or three triangles.
 pub(crate) struct TriangleTree {
-    /// The root first, and below each one its parts, one after the other.
+    /// The nodes: the root first, and below each one its parts, one after the other.
     nodes: Vec<TreeNode>,
     unit: UnitCube,
 }
@@ -30,7 +30,7 @@ pub(crate) struct TriangleTree {
 /// A part that is still to be searched.
 pub(crate) struct QueuedPart {
     node: u32,
-    /// The square of how far it is at least, in the tree's unit.
+    /// Square of the least distance that the part may have, in the tree's unit.
     least: f32,
 }
 
@@ -46,14 +46,14 @@ struct TreeNode {
 #[derive(Clone, Copy)]
 enum Child {
     None,
-    /// By its place among the nodes.
+    /// A node, by its index among the nodes.
     Node(u32),
-    /// By its place in the tree's order.
+    /// A triangle, by its place in the tree's order.
     Triangle(u32),
 }
 
 impl TriangleTree {
-    /// The tree of some triangles, and the order in which it has them.
+    /// Builds the tree of some triangles, and returns the order in which the tree has them.
     pub fn from_facets(facets: &[TreeTriangle]) -> (Self, Vec<u32>) {
         let middle =
             |f: &TreeTriangle| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
@@ -65,8 +65,8 @@ impl TriangleTree {
         (Self { nodes, unit }, order)
     }
 
-    /// Has all triangles looked at that may be nearer to a point than so, of which the square is told; `look`
-    /// gives that of the nearest so far. `waiting` is room for the search.
+    /// Visits all triangles that may be nearer to a point than a distance, of which the square is given;
+    /// `look` returns the square for the nearest so far. `waiting` is room for the search.
     pub fn nearest(
         &self,
         p: DVec3,
@@ -97,7 +97,7 @@ impl TriangleTree {
         }
     }
 
-    /// Has all triangles looked at that a ray may meet.
+    /// Visits all triangles that a ray may meet.
     pub fn on_ray(&self, origin: DVec3, direction: DVec3, mut look: impl FnMut(usize)) {
         let inverse = (direction * self.unit.scale).recip();
         let along = RayBoxes { origin: self.unit.exactly(origin), inverse };
@@ -127,14 +127,14 @@ fn nearest_first(squares: [f32; PARTS]) -> [usize; PARTS] {
     keys.map(|key| (key & 3) as usize)
 }
 
-/// Coordinates in which all triangles reach from -1 to 1, where single precision tells what is far.
+/// Coordinates in which all triangles reach from -1 to 1, so that single precision can compare distances.
 struct UnitCube {
     middle: DVec3,
     scale: f64,
 }
 
 impl UnitCube {
-    /// More than rounding makes of lengths here, and of the parts of longer ones.
+    /// Bound of rounding errors: of those of lengths in the cube, and as a part of longer lengths.
     const ROUNDING: f32 = 1e-5;
     /// Farther points are taken for some that are nearer.
     const FARTHEST: DVec3 = DVec3::splat(1e15);
@@ -151,7 +151,8 @@ impl UnitCube {
         (p - self.middle) * self.scale
     }
 
-    /// For any point one that is no farther from any of the triangles.
+    /// Point in the cube, in single precision, that is no farther from any of the triangles than the given
+    /// point.
     fn point(&self, p: DVec3) -> Vec3 {
         self.exactly(p).clamp(-Self::FARTHEST, Self::FARTHEST).as_vec3()
     }
@@ -174,7 +175,7 @@ struct Discs {
 }
 
 impl Discs {
-    /// Around everything.
+    /// Discs around everything.
     const ENDLESS: Self = Self {
         middle: [Vec4::ZERO; 3],
         normal: [Vec4::X, Vec4::Y, Vec4::Z],
@@ -202,7 +203,7 @@ impl Discs {
         (self.thickness[lane], self.radius[lane]) = (thickness, radius);
     }
 
-    /// How far a point is from the planes, and from the axes.
+    /// Distances of a point from the discs' planes, and from their axes.
     #[inline]
     fn place(&self, p: Vec3) -> [Vec4; 2] {
         let way: [Vec4; 3] = std::array::from_fn(|axis| Vec4::splat(p[axis]) - self.middle[axis]);
@@ -239,7 +240,7 @@ impl TreeNode {
 /// The boxes that a ray meets, in the tree's unit.
 struct RayBoxes {
     origin: DVec3,
-    /// One over the direction's components; infinite for those that are 0.
+    /// Inverses of the direction's components; infinite for those that are 0.
     inverse: DVec3,
 }
 
@@ -250,7 +251,7 @@ impl RayBoxes {
             let at = |x: f32| (f64::from(x) - self.origin[axis]) * self.inverse[axis];
             let low = at(node.low[axis][lane] - UnitCube::ROUNDING);
             let high = at(node.high[axis][lane] + UnitCube::ROUNDING);
-            // Where the ray lies in a side's plane, which gives no number, that side says nothing.
+            // A ray that lies in the plane of a side gives NaN, and that side bounds nothing.
             if !(low.is_nan() || high.is_nan()) {
                 (enter, leave) = (enter.max(low.min(high)), leave.min(low.max(high)));
             }
@@ -260,7 +261,7 @@ impl RayBoxes {
     }
 }
 
-/// How many triangles each part of so many has: all parts but the last are full, or have full ones below.
+/// Number of triangles of each part of so many: all parts but the last are full, or have full ones below.
 fn sizes(triangles: usize) -> [usize; PARTS] {
     if triangles <= PARTS {
         return std::array::from_fn(|i| usize::from(i < triangles));
@@ -273,15 +274,15 @@ fn sizes(triangles: usize) -> [usize; PARTS] {
     [a, b, c, d]
 }
 
-/// How many nodes the tree of so many triangles has.
+/// Number of nodes of the tree of so many triangles.
 fn nodes_of(triangles: usize) -> usize {
     let below = sizes(triangles).into_iter().filter(|size| *size > 1);
     1 + below.map(nodes_of).sum::<usize>()
 }
 
-/// Writes the tree of some triangles, by their boxes' middles, to its `nodes`; `this` is the first one's
-/// place among those of the whole tree, and `place` that of the first triangle in the order. Large parts grow
-/// beside each other.
+/// Writes the tree of some triangles, by their boxes' middles, to `nodes`; `this` is the place of the first
+/// node among those of the whole tree, and `place` that of the first triangle in the order. Large parts grow
+/// in parallel.
 fn grow(
     nodes: &mut [TreeNode],
     order: &mut [u32],
@@ -332,7 +333,8 @@ fn grow(
     }
 }
 
-/// Puts so many triangles first that lie farther back along the longest side of what the middles span.
+/// Moves so many triangles to the front: those that lie farther back along the longest side of the box of the
+/// middles.
 fn halve(order: &mut [u32], count: usize, middles: &[DVec3]) {
     if count == 0 || count >= order.len() {
         return;
@@ -353,7 +355,7 @@ fn halve(order: &mut [u32], count: usize, middles: &[DVec3]) {
 mod tests {
     use super::*;
 
-    /// So many small triangles along a wound line.
+    /// Many small triangles along a wound line.
     fn some(count: usize) -> Vec<TreeTriangle> {
         let at = |i: f64| DVec3::new(i.sin(), 0.1 * i, (0.7 * i).cos());
         let of = |i: u32| {

@@ -12,12 +12,12 @@ pub(crate) fn corners(positions: &[DVec3], triangle: [u32; 3]) -> Option<Triangl
     Some([a?, b?, c?])
 }
 
-/// The sides of triangles, each the way it goes round.
+/// Sides of triangles, each in the direction in which the triangle goes round.
 pub(crate) fn sides(triangles: impl Iterator<Item = [u32; 3]>) -> impl Iterator<Item = [u32; 2]> {
     triangles.flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]])
 }
 
-/// The vertices of a side, the lower one first, whichever way it goes.
+/// Vertices of a side, the lower one first, in whichever direction the side goes.
 pub(crate) fn either_way([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
@@ -55,8 +55,8 @@ impl Edges {
         Self(keys.into_iter().map(pair).collect())
     }
 
-    /// The lengths of each one with a length, at rest and in a shape with as many vertices where its ends
-    /// have finite places.
+    /// Lengths of each edge that has a length, at rest and in a shape with as many vertices where the edge's
+    /// ends have finite positions.
     pub(crate) fn lengths(&self, rest: &[DVec3], deformed: &[DVec3]) -> impl Iterator<Item = [f64; 2]> {
         let both =
             move |[a, b]: &[u32; 2]| [rest, deformed].map(|of| of[*a as usize].distance(of[*b as usize]));

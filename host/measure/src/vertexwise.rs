@@ -9,7 +9,7 @@ use simod_model::bounds::Bounds;
 use simod_model::histogram::Histogram;
 use simod_model::{Model, Progress, Result, Vertices, in_ranges};
 
-/// How far the vertices of two versions of a model are from each other. Lengths are fractions of a diagonal.
+/// Distances between the vertices of two versions of a model. Lengths are fractions of a diagonal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Difference {
     /// Vertices compared: those with a finite position in both.
@@ -38,7 +38,7 @@ pub struct Angles {
 pub struct VersionsBeside {
     /// Boxes of the finite positions of each version.
     pub bounds: Vec<Bounds>,
-    /// Each pair of versions: (0, 1), (0, 2), …, (1, 2), …
+    /// Differences of each pair of versions: (0, 1), (0, 2), …, (1, 2), …
     pub differences: Vec<((usize, usize), Difference)>,
 }
 
@@ -47,7 +47,7 @@ const BLOCK: usize = 64;
 /// Sums that are kept side by side, each of every so many vertices of a block.
 const LANES: usize = 8;
 
-/// As many vertices as a block has, of one version, coordinate by coordinate.
+/// Vertices of one version, as many as a block has, coordinate by coordinate.
 struct VertexBlock {
     positions: [[f64; BLOCK]; 3],
     normals: [[f64; BLOCK]; 3],
@@ -97,7 +97,7 @@ impl LaneSums {
         self.greatest[lane] = if x > self.greatest[lane] { x } else { self.greatest[lane] };
     }
 
-    /// In one order, so that the sum is the same whatever the processor takes at once.
+    /// Sum of the lanes in one order, so that it is the same whatever the processor takes at once.
     fn sum(&self) -> f64 {
         self.sums.iter().sum()
     }
@@ -113,7 +113,7 @@ impl LaneSums {
     }
 }
 
-/// What is known of a pair so far.
+/// Sums over the vertices of a pair of versions that were read so far.
 #[derive(Default)]
 struct PairSums {
     histogram: Histogram,
@@ -149,7 +149,7 @@ impl WithSimd for BlockBox<'_> {
     }
 }
 
-/// How far the vertices of a block are from each other; the squares are added to the lanes.
+/// Distances between the vertices of two blocks, times a factor; their squares are added to the lanes.
 struct BlockDistances<'a>([&'a VertexBlock; 2], f64, &'a mut LaneSums);
 
 impl WithSimd for BlockDistances<'_> {
@@ -258,7 +258,7 @@ impl PairSums {
         Difference {
             vertices: self.vertices,
             rms: rms(&self.squares, self.vertices),
-            // A bin's middle may be beyond all that is in it.
+            // The middle of a bin may be beyond all numbers in the bin.
             p99: self.histogram.quantile(0.99).min(max),
             max,
             normals: (self.normals > 0).then_some(angles),
@@ -266,7 +266,7 @@ impl PairSums {
     }
 }
 
-/// Whether a normal is one.
+/// Whether a normal has a direction: a length above 0 that is finite.
 #[inline]
 fn is_direction(n: Vec3) -> bool {
     let square = n.length_squared();
@@ -279,8 +279,8 @@ fn is_direction(n: Vec3) -> bool {
 fn angle(a: DVec3, b: DVec3) -> f64 {
     // The vectors' lengths cancel out.
     let (across, along) = (a.cross(b).length(), a.dot(b));
-    // As libraries' arctangents, but without branches, so that several are found at once: x is at most the
-    // tangent of a sixteenth of a turn, where what the series leaves out is 3e-9.
+    // The arctangent is that of libraries, but without branches, so that several are found at once: x is at
+    // most the tangent of a sixteenth of a turn, where the terms that the series leaves out are 3e-9.
     let (small, large) = (across.min(along.abs()), across.max(along.abs()));
     let x = small / large.max(f64::MIN_POSITIVE);
     let steep = x > std::f64::consts::SQRT_2 - 1.0;
@@ -293,7 +293,7 @@ fn angle(a: DVec3, b: DVec3) -> f64 {
     if along < 0.0 { std::f64::consts::PI - angle } else { angle }
 }
 
-/// What is known of all versions in a range of vertices.
+/// Figures of all versions in a range of vertices.
 #[derive(Default)]
 struct RangeFigures {
     bounds: Vec<Bounds>,
@@ -342,8 +342,8 @@ fn each_two(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |i| (i + 1..count).map(move |k| (i, k)))
 }
 
-/// Takes vertices of all versions, of which the number of the first is told: on any thread, a range of the
-/// model after the other.
+/// Takes vertices of all versions, with the number of the first one: on any thread, a range of the model
+/// after the other.
 pub type Also<'a> = dyn Fn(u64, &[Vertices<'_>]) -> Result<()> + Sync + 'a;
 
 /// Compares versions of a model, all with all, in one reading, of ranges on all threads where the files

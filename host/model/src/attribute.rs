@@ -7,9 +7,9 @@ use crate::Type;
 /// A number that each vertex has, beside its position and its normal.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attribute {
-    /// What the file calls it, as `red`.
+    /// Name of the attribute in the file, as `red`.
     pub name: String,
-    /// The type of its numbers.
+    /// Type of the attribute's numbers.
     pub kind: Type,
 }
 
@@ -17,13 +17,14 @@ impl Attribute {
     /// Longest name, in bytes.
     const LONGEST_NAME: usize = 255;
 
-    /// Whether its numbers are names of classes, as they are in LAS: a mean of them is none.
+    /// Whether the attribute's numbers are names of classes, as they are in LAS: a mean of classes is no
+    /// class.
     pub fn is_of_classes(&self) -> bool {
         self.name == "classification" && !self.kind.is_float()
     }
 
-    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
-    /// shown.
+    /// Whether a text can be the name of an attribute: it is short, and has no control characters, so that it
+    /// can be shown as it is.
     pub fn is_name(name: &str) -> bool {
         (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
     }

@@ -1,5 +1,5 @@
-//! What is made once of a model that cannot be read from anywhere as it is, as of one that is compressed as a
-//! whole: one file, for all that open the model after that.
+//! Content that is made once of a model that cannot be read from anywhere as it is, such as one that is
+//! compressed as a whole: one file, for all that open the model after that.
 //!
 //! A cache is kept under a name, in the folder of a sampled model, or in a nameless file that is gone with
 //! the process. It is filled by the first one that needs it, which is told how large it will be. A kept one
@@ -22,7 +22,7 @@ use crate::source::{SourceFile, Stamp};
 use crate::target::folder_of;
 use crate::{Error, Progress, Result, input};
 
-/// What a kept cache ends with: this, and the numbers of [`CacheStamp`].
+/// First bytes of the ending of a kept cache; the numbers of [`CacheStamp`] follow.
 const MAGIC: &[u8; 8] = b"simodc01";
 
 /// Bytes at the end of a kept cache.
@@ -31,10 +31,10 @@ const ENDING: usize = 8 + 8 + 16 + 8 + 16;
 /// Bytes that are read at a time.
 const BLOCK: usize = 1 << 20;
 
-/// What can be done about a folder without room.
+/// Advice in an error about a folder without room.
 const ADVICE: &str = "write to a disk with more room, or set TMPDIR to a folder there";
 
-/// Where what is made of a model goes.
+/// Place for content that is made of a model, and that content once it is made.
 #[derive(Debug)]
 pub struct Cache {
     place: CacheLocation,
@@ -45,13 +45,13 @@ pub struct Cache {
 enum CacheLocation {
     /// A folder for a file without a name.
     Nameless(PathBuf),
-    /// A file in a folder that this process is writing, and what it will be called.
+    /// A file in a folder that this process is writing, and the path that the file will have.
     Claimed(PathBuf, PathBuf),
     /// A file in a folder that others may be writing.
     Shared(PathBuf),
 }
 
-/// What this process made, or found, of a model.
+/// Content that this process made of a model, or found kept.
 #[derive(Debug)]
 struct Cached {
     stamp: Option<Stamp>,
@@ -59,7 +59,7 @@ struct Cached {
     file: SourceFile,
 }
 
-/// What was made of what.
+/// Size and hash of a model's file, and of the content that was made of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CacheStamp {
     source_bytes: u64,
@@ -70,16 +70,16 @@ struct CacheStamp {
 
 /// The content that will be made.
 pub(crate) struct CachedContent {
-    /// What goes there of the model, as "its points are unpacked".
+    /// Words for messages on what is made of the model, as "its points are unpacked".
     pub what: &'static str,
-    /// How many bytes that are, at least and at most: what was made of the same model by something else is
-    /// of no use.
+    /// Size of the content in bytes, the least and the greatest: content of another size was made of the same
+    /// model by other means, and is of no use.
     pub bytes: RangeInclusive<u64>,
-    /// Bytes besides, until it is made.
+    /// Bytes of temporary files besides, until the content is made.
     pub meanwhile: u64,
 }
 
-/// What the formats need to make something of a model.
+/// Cache and progress that a format needs to make content of a model.
 pub(crate) struct Making<'a> {
     pub cache: &'a Arc<Cache>,
     pub progress: &'a dyn Progress,
@@ -99,18 +99,18 @@ impl Default for Cache {
 }
 
 impl Cache {
-    /// One in a nameless file in `folder`, which is gone with the process.
+    /// Cache in a nameless file in `folder`, which is gone with the process.
     pub fn nameless(folder: &Path) -> Self {
         Self::in_place(CacheLocation::Nameless(folder.to_owned()))
     }
 
-    /// One that is kept in the file `name` of a folder in the making.
+    /// Cache that is kept in the file `name` of a folder in the making.
     pub fn in_new_folder(folder: &OutputFolder, name: &str) -> Self {
         Self::in_place(CacheLocation::Claimed(folder.path().join(name), folder.target().join(name)))
     }
 
-    /// One that is kept in the file `path` of a folder that is there. Where that is being written by others,
-    /// or cannot be, it goes to a nameless file.
+    /// Cache that is kept in the file `path` of a folder that is there. Where others write that file, or it
+    /// cannot be written, the content goes to a nameless file.
     pub fn in_folder(path: &Path) -> Self {
         Self::in_place(CacheLocation::Shared(path.to_owned()))
     }
@@ -119,12 +119,13 @@ impl Cache {
         Self { place, made: Mutex::new(None) }
     }
 
-    /// Bytes of what was made or found; `None` if nothing was needed so far.
+    /// Bytes of the content that was made or found; `None` if nothing was needed so far.
     pub fn bytes(&self) -> Option<u64> {
         self.made.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|made| made.of.bytes)
     }
 
-    /// Gives what is kept another name as well, if that can be done without copying it: it can be made anew.
+    /// Gives the kept content another name as well, if that can be done without copying it: it can be made
+    /// anew.
     pub fn link_to(&self, path: &Path) {
         if let CacheLocation::Claimed(file, _) | CacheLocation::Shared(file) = &self.place {
             let _ = std::fs::hard_link(file, path);
@@ -145,8 +146,8 @@ impl Cache {
         Scratch::new(&self.folder(), ADVICE)
     }
 
-    /// What is made of a model: what was made of it before, or else what `fill` writes, which returns how
-    /// many bytes that are. It is read in the name of the model.
+    /// Returns the content of a model: the content that was made before, or else what `fill` writes, which
+    /// returns its size in bytes. The content is read under the model's path.
     ///
     /// # Errors
     /// The model cannot be read, the disk has no room, `fill` failed, or wrote more or less than is needed.
@@ -179,7 +180,7 @@ impl Cache {
         Ok(file)
     }
 
-    /// What was kept, if it is whole and of this model.
+    /// Returns the kept content with its stamp, if it is whole and was made of this model.
     fn kept(
         &self,
         source: &SourceFile,
@@ -243,7 +244,7 @@ impl Cache {
         source.check_unchanged()?;
         let file = SourceFile::of_scratch(scratch, source.path(), bytes);
         let mut of = CacheStamp { source_bytes: source.len(), source_hash, bytes, hash: 0 };
-        // Nobody else will look whether a nameless one is whole.
+        // No later process will check whether a nameless file is whole.
         let Some((output, _claim)) = output else { return Ok((of, file)) };
         of.hash = hash(&file, progress)?;
         let part = Positioned::new(output.part()?);
@@ -252,11 +253,11 @@ impl Cache {
         Ok((of, SourceFile::of_part(part, source.path(), bytes)))
     }
 
-    /// The file to be kept, with the right to write it; none if it is to have no name.
+    /// File for the content that is to be kept, with the right to write it; none if it is to have no name.
     fn output(&self, need: &CachedContent) -> Result<Option<(OutputFile, Option<Claim>)>> {
         match &self.place {
             CacheLocation::Nameless(_) => Ok(None),
-            // Whether there is room is told by the name that it will have.
+            // The check for room looks at the name that the file will have.
             CacheLocation::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
             CacheLocation::Shared(path) => {
                 let Ok(claim) = Claim::folder(folder_of(path)) else { return Ok(None) };

@@ -3,11 +3,12 @@
 //! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into
 //! it; for a folder it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the
 //! former one, where the system cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by
-//! which it is replaced, are those of large files (`resumable`). What a process that was killed left is
-//! removed by the next one that has the lock; what is locked is somebody's, on this machine or another.
+//! which it is replaced, are those of large files (`resumable`). Files that a killed process left are removed
+//! by the next process that has the lock; a locked file belongs to a process that is at work, on this machine
+//! or another.
 //!
-//! These names are known, so that somebody else may have put something there: links are never followed or
-//! written through, and a file that has other names, or another owner, is replaced by a new one.
+//! The hidden names are known, so that somebody else may have put something there: links are never followed
+//! or written through, and a file that has other names, or another owner, is replaced by a new one.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -28,7 +29,7 @@ const LONGEST_NAME: usize = 200;
 /// The files that belong to an output.
 #[derive(Debug, Clone)]
 pub(crate) struct OutputFiles {
-    /// What the caller calls the output.
+    /// Path of the output as the caller gave it.
     pub path: PathBuf,
     /// The file or folder that is created or replaced: `path` itself, unless that is a link to a file.
     pub target: PathBuf,
@@ -75,7 +76,7 @@ impl OutputFiles {
     }
 
     pub fn remove_journal(&self) {
-        // If it cannot be removed, the next call takes it for what it is: a journal without its part.
+        // A journal that cannot be removed does no harm: the next call sees that its part is missing.
         let _ = remove(&self.journal);
         let _ = remove(&self.new_journal);
     }
@@ -91,7 +92,7 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Claims a file; what was left of an earlier attempt is removed, unless it `resumes` that.
+    /// Claims a file; the files of an earlier attempt are removed, unless this one `resumes` it.
     ///
     /// # Errors
     /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
@@ -100,7 +101,7 @@ impl Claim {
         Self::for_places(OutputFiles::of_file(path)?, resumes)
     }
 
-    /// Claims a folder, or the files in it that go with it; what was left of an earlier attempt is removed.
+    /// Claims a folder, or the files in it that go with it; files of an earlier attempt are removed.
     ///
     /// # Errors
     /// Another process has it, or the folder that it lies in is missing or cannot be written to.
@@ -108,8 +109,8 @@ impl Claim {
         Self::for_places(OutputFiles::of_folder(path)?, false)
     }
 
-    /// Removes what an earlier attempt has left beside a folder, unless another process is at it; as nobody
-    /// may come who claims the folder itself.
+    /// Removes the hidden files that an earlier attempt has left beside a folder, unless another process is
+    /// writing: perhaps no process will ever claim the folder itself.
     pub fn tidy(path: &Path) {
         drop(Self::folder(path));
     }
@@ -153,7 +154,7 @@ impl Claim {
         &self.places
     }
 
-    /// Where the files of a folder are written for now.
+    /// Path of the hidden folder in which the files of a folder are written until it takes its name.
     pub(crate) fn new_folder(&self) -> &Path {
         &self.places.new_folder
     }
@@ -163,12 +164,13 @@ impl Claim {
         &self.file
     }
 
-    /// Leaves what is there to a later call.
+    /// Leaves the files that are there to a later call.
     pub(crate) fn keep(&mut self) {
         self.keeps = true;
     }
 
-    /// Puts the part file in the target's place, with the permissions and the owner of what it replaces.
+    /// Puts the part file in the target's place, with the permissions and the owner of the file that it
+    /// replaces.
     ///
     /// # Errors
     /// The operating system refuses; the target is then what it was.
@@ -217,19 +219,20 @@ impl Drop for Claim {
     }
 }
 
-/// Where a folder is written before it takes its name.
+/// Path of the hidden folder in which a folder is written before it takes its name.
 pub(crate) fn new_folder_of(path: &Path) -> PathBuf {
     OutputFiles::of_folder(path).map_or_else(|_| path.to_owned(), |places| places.new_folder)
 }
 
-/// What is claimed by this process and of no use to a later one.
+/// Hidden files and folders that this process claims and that no later process can go on with.
 static CLAIMED: Mutex<Vec<OutputFiles>> = Mutex::new(Vec::new());
 
 fn claimed() -> MutexGuard<'static, Vec<OutputFiles>> {
     CLAIMED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes what this process is writing, as it ends at once. What is to be gone on with stays.
+/// Removes what this process is writing, as the process ends at once. Files that a later call can go on with
+/// stay.
 pub fn abandon_all() {
     object::abandon_all();
     for places in claimed().drain(..) {
@@ -239,13 +242,13 @@ pub fn abandon_all() {
     }
 }
 
-/// Opens a part file that is there; `None` if it is there no more, or was removed because it is nobody's.
+/// Opens a part file that is there; `None` if it is gone, or was removed because no process owns it.
 fn open_there(part: &Path, in_the_way: &dyn Fn() -> Error) -> Result<Option<File>> {
     match fs::symlink_metadata(part) {
         Err(_) => return Ok(None),
         Ok(is) if is.is_dir() => return Err(in_the_way()),
         Ok(is) if !is.is_file() => {
-            // A link, a pipe or a device is nobody's part.
+            // A link, a pipe or a device is no part file of a process.
             remove(part).map_err(|e| in_the_way().because(e))?;
             return Ok(None);
         }
@@ -278,8 +281,8 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
         };
         match file.try_lock() {
             Err(TryLockError::WouldBlock) => break,
-            // Where the file system knows no locks, being there is one; whoever resumes says that nobody has
-            // it.
+            // On a file system without locks, the file itself stands for one; a caller that resumes says that
+            // no other process has it.
             Err(TryLockError::Error(_)) if !is_new && !resumes => break,
             _ => {}
         }
@@ -298,14 +301,15 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
     ))
 }
 
-/// Makes a file that is not there yet, which nobody sees who does not see its target.
+/// Creates a file that is not there yet, which nobody can read who cannot read its target.
 fn create_new(part: &Path, target: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true).create_new(true);
     #[cfg(unix)]
     {
         use std::os::unix::fs::OpenOptionsExt;
-        // As any other new file: the system takes away what the user's umask says.
+        // Permissions are those of any other new file, from which the system takes the bits of the user's
+        // umask.
         options.mode(if target.exists() { 0o600 } else { 0o666 });
     }
     let _ = target;
@@ -325,7 +329,7 @@ fn open_again(part: &Path) -> io::Result<File> {
     options.open(part)
 }
 
-/// Whether a file has one name, and is this user's.
+/// Whether a file has a single name, and belongs to this user.
 fn is_ours_alone(file: &File) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -352,8 +356,8 @@ pub(crate) fn take_permissions(file: &File, from: &Path) -> io::Result<()> {
             && fchown(file, Some(former.uid()), Some(former.gid())).is_err()
             && fchown(file, None, Some(former.gid())).is_err()
         {
-            // Only the superuser gives files away. The group is another one now, and gets no more than
-            // anybody.
+            // The superuser alone gives files away. The group is another one now, and gets no more rights
+            // than others.
             mode = (mode & !0o070) | (((mode & 0o007) << 3) & mode);
         }
         file.set_permissions(fs::Permissions::from_mode(mode))?;

@@ -1,11 +1,11 @@
-//! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
-//! compares or writes colours asks here.
+//! Colours of vertices: their places among the numbers of vertices, and their scale. All code that shows,
+//! compares or writes colours uses this module.
 
 use rayon::prelude::*;
 
 use crate::{Attribute, Model, ModelInfo, Result, Type, VertexChunk};
 
-/// What red, green and blue are called, in lower case.
+/// Names of red, green and blue in the formats, in lower case.
 const NAMES: [[&str; 3]; 3] =
     [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
 
@@ -16,12 +16,12 @@ const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 /// The first function of the harmonics.
 const HARMONIC: f64 = 0.282_094_791_773_878_14;
 
-/// Where among the attributes of vertices their colour is.
+/// Places of the vertices' colour among their attributes, and its type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Colors {
     /// The places of red, green and blue among the attributes.
     pub places: [usize; 3],
-    /// The type of these numbers.
+    /// Type of the colours' numbers.
     pub kind: Type,
     /// The numbers are coefficients of harmonics.
     pub of_splats: bool,
@@ -33,7 +33,7 @@ pub struct ColorScale(Meaning);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Meaning {
-    /// From 0 to the number of full light.
+    /// Numbers from 0 to this one, which is full light.
     Full(u16),
     /// Coefficients of harmonics.
     Coefficients,
@@ -62,8 +62,8 @@ impl Colors {
         })
     }
 
-    /// Where vertices with such attributes have their colours, or what they are seen in, if they are Gaussian
-    /// splats.
+    /// Returns the places of the colours of vertices with such attributes; of Gaussian splats without
+    /// colours, those of the colour in which they are seen.
     pub fn seen<'a>(attributes: impl IntoIterator<Item = &'a Attribute> + Clone) -> Option<Self> {
         let coefficient = |name: &str| {
             let mut all = attributes.clone().into_iter().enumerate();
@@ -82,7 +82,7 @@ impl Colors {
         Self::among(&info.attributes)
     }
 
-    /// How many of the first attributes have to be asked for.
+    /// Number of the first attributes that have to be read for the colours.
     pub fn count(&self) -> usize {
         self.places.into_iter().max().map_or(0, |last| last + 1)
     }
@@ -141,7 +141,8 @@ impl ColorScale {
         Ok(Self::for_largest(colors, most))
     }
 
-    /// Whether all colours of a model, with the alpha that they have in the same type, come back from bytes.
+    /// Whether all colours of a model, and the alpha of the same type if it has one, come back unchanged from
+    /// bytes.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -177,7 +178,7 @@ impl ColorScale {
         all.try_reduce(|| true, |a, b| Ok(a && b))
     }
 
-    /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
+    /// Byte for a number, in the transfer curve that the number has (sRGB as a rule); 0 for NaN.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {
         let part = match self.0 {

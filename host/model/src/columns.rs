@@ -1,11 +1,10 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, semicolons or bars, or by what else is between their
-//! numbers, as colons; in TSV by each tab. Which ones
-//! are the position and the normal is told by the user, by names in a line before the points (a comment,
-//! too), or by the file's extension; without any, the first three are the position. The others are
-//! attributes, if they are numbers in the first point's line. A PTS file says first how many points follow,
-//! and so does each further scan in it.
+//! Columns are separated by blanks and tabs, by commas, semicolons or bars, or by another character between
+//! their numbers, as colons; in TSV by each tab. Which ones are the position and the normal is told by the
+//! user, by names in a line before the points (a comment, too), or by the file's extension; without any, the
+//! first three are the position. The others are attributes, if they are numbers in the first point's line. A
+//! PTS file says first how many points follow, and so does each further scan in it.
 
 use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
@@ -19,7 +18,7 @@ pub(crate) const EXTENSIONS: [&str; 8] = ["xyz", "xyzn", "xyzrgb", "pts", "csv",
 
 const HINT: &str = "say what the columns are, as by --columns x,y,z,_,nx,ny,nz; decimals have points";
 
-/// What components are called: position, then normal; in lower case.
+/// Names of the six components in headers: position, then normal; in lower case.
 const NAMES: [&[&str]; 6] = [
     &["x", "px", "pos_x", "position_x", "points_x", "points:0", "coord_x", "easting", "east"],
     &["y", "py", "pos_y", "position_y", "points_y", "points:1", "coord_y", "northing", "north"],
@@ -32,10 +31,10 @@ const NAMES: [&[&str]; 6] = [
 /// The meaning of each column.
 #[derive(Debug)]
 pub(crate) struct Columns {
-    /// What separates columns; blanks and tabs if nothing else.
+    /// Byte that separates columns; blanks and tabs if none.
     separator: Option<u8>,
-    /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a
-    /// component, or behind these one that turns.
+    /// Meaning of each column up to the last one that is written anew, as the index among a vertex' numbers:
+    /// those of the components, and behind these those that turn.
     roles: Vec<Option<usize>>,
     /// 3, or 6 with a normal.
     components: usize,
@@ -43,11 +42,11 @@ pub(crate) struct Columns {
     following: usize,
     /// Columns of the attributes.
     attributes: Vec<usize>,
-    /// What the others are called, which are not read.
+    /// Names of the columns that are not read.
     unread: Vec<String>,
     /// Lines with a single word are numbers of points.
     is_counted: bool,
-    /// What the user said that they are.
+    /// Meaning of the columns as the user gave it, if so.
     wanted: Option<String>,
 }
 
@@ -157,7 +156,7 @@ fn fields(line: &[u8], separator: Option<u8>) -> impl Iterator<Item = (usize, us
     })
 }
 
-/// Whether there is nothing in a line, or a comment.
+/// Whether a line is empty, or a comment.
 #[inline]
 fn is_blank(line: &[u8]) -> bool {
     match line.iter().position(|b| !is_space(*b)) {
@@ -222,7 +221,7 @@ impl Grammar for Columns {
     }
 }
 
-/// What separates the columns of a line; blanks and tabs if nothing else.
+/// Returns the byte that separates the columns of a line; none for blanks and tabs.
 fn separator(line: &[u8], extension: &str) -> Option<u8> {
     let usual: &[u8] = if extension == "tsv" { b"\t;,|" } else { b";,|" };
     let usual = usual.iter().copied().find(|b| line.contains(b));
@@ -237,14 +236,14 @@ fn separates(line: &[u8], separator: u8) -> bool {
     (0..3).all(|_| columns.next().is_some_and(is_word))
 }
 
-/// Whether a line tells a spreadsheet what separates columns, as `sep=;` does before all others; which the
-/// lines behind it tell, too.
+/// Whether a line tells a spreadsheet the separator of columns, as `sep=;` does before all other lines. The
+/// lines behind it show the separator, too.
 fn says_separator(line: &[u8]) -> bool {
     let word = line.trim_ascii();
     word.len() <= 5 && word.len() >= 4 && word[..4].eq_ignore_ascii_case(b"sep=")
 }
 
-/// Whether a file's first lines are such a text.
+/// Whether a file's first lines are such columns, and its extension is that of one.
 pub(crate) fn is_columns(source: &SourceFile, extension: &str) -> bool {
     EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
 }
@@ -277,18 +276,18 @@ impl Columns {
     }
 }
 
-/// What the lines before the first point tell.
+/// Contents of the lines before the first point.
 struct ColumnsHead {
     columns: Columns,
-    /// What the columns are called.
+    /// Names of the columns.
     names: Vec<String>,
     attributes: Vec<Attribute>,
-    /// Where the first line begins, and the first one that may be a point.
+    /// Byte at which the first line begins, and the byte of the first line that may be a point.
     begin: u64,
     start: u64,
 }
 
-/// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
+/// Opens a file, which is read once for that; `wanted` names its columns, as "x,y,z".
 pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
     let ColumnsHead { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
     let blocks = scan(&source, &columns, begin, start)?;
@@ -312,7 +311,8 @@ pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) ->
     Ok(Box::new(TextModel::new(source, columns, blocks, info)?))
 }
 
-/// Where the points are. Lines with a single word say how many, if any do.
+/// Finds the blocks of points. Where lines with a single word are numbers of points, they have to fit the
+/// points found.
 fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Result<TextBlocks> {
     let mut lines = Lines::new(source, begin, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(start, 1);
@@ -341,14 +341,14 @@ fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Resul
     Ok(builder.finish())
 }
 
-/// What stands before the first row with a number.
+/// Contents of the lines before the first row with a number.
 #[derive(Default)]
 struct BeforeRows {
     /// The last comment.
     comment: Vec<u8>,
-    /// Whether there is a number of points.
+    /// Whether a line was a number of points.
     is_counted: bool,
-    /// Names of columns, and what is between them.
+    /// Separator of the columns, and their names.
     header: Option<(Option<u8>, Vec<String>)>,
     /// The first row without any number, which tells nothing of the columns.
     empty: Option<u64>,
@@ -384,7 +384,7 @@ impl BeforeRows {
         }
     }
 
-    /// What is known of the file with its first row.
+    /// Returns the head of the file, with this first row of points.
     fn with_row(
         mut self,
         source: &SourceFile,
@@ -467,7 +467,7 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
 const MOST_COLUMNS: usize = 4096;
 const LONGEST_HEADER: usize = 1 << 16;
 
-/// Names in a comment, where they are as many as the columns.
+/// Names in a comment, if there are as many as columns.
 fn in_comment(comment: &[u8], separator: Option<u8>, count: usize) -> Option<Vec<String>> {
     let start = comment.iter().position(|b| !is_space(*b) && !matches!(b, b'#' | b'%' | b'/'))?;
     let text = &comment[start..];
@@ -477,7 +477,7 @@ fn in_comment(comment: &[u8], separator: Option<u8>, count: usize) -> Option<Vec
     (names.len() == count && has_position).then_some(names)
 }
 
-/// What columns are without names.
+/// Names of the columns of a file that does not name them, by its extension and their number.
 fn usual(extension: &str, is_counted: bool, count: usize) -> Vec<String> {
     let names: &[&str] = match (extension, count) {
         ("xyzn", 6..) => &["x", "y", "z", "nx", "ny", "nz"],

@@ -1,4 +1,4 @@
-//! Errors as values: what is wrong and where, and what to do about it.
+//! Errors as values: the fault and its place, and advice.
 
 use std::fmt;
 use std::path::Path;
@@ -7,29 +7,29 @@ use std::sync::Arc;
 /// Result of every fallible function of the host's crates.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What sort of failure it was, for callers that treat some of them specially.
+/// Kind of a failure, for callers that treat some kinds specially.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorKind {
     /// The operating system refused to read or write.
     Io,
-    /// A file's content is not what its format, or its own header, says.
+    /// The content of a file is not what the file's format, or its own header, says.
     Format,
     /// The content is well-formed, but there is nothing that can be worked on (no vertices, say).
     Degenerate,
     /// Files that belong together do not fit (another vertex count, a source changed since sampling).
     Mismatch,
-    /// A value given by the user is out of its range, unknown or of another type.
+    /// A value given by the user is out of the range allowed, unknown or of another type.
     Argument,
     /// A plugin is missing, cannot be loaded, or failed.
     Plugin,
     /// The user asked to stop.
     Cancelled,
-    /// A mistake in this program: nothing is wrong with what it was given.
+    /// A mistake in this program: its input is not to blame.
     Internal,
 }
 
-/// A failure: one line that says what and where, one that says what to do.
+/// Failure: one line with the fault and its place, one with advice.
 ///
 /// An error is one pointer, as results that may be one are moved, and let go, wherever they are passed on.
 /// What makes one is cold, so that the compiler spends little on the code around it.
@@ -41,7 +41,7 @@ struct Failure {
     kind: ErrorKind,
     what: String,
     hint: String,
-    /// What it came of, if a library or the system said so.
+    /// Error of a library or the system that caused this one, if there is one.
     source: Option<Arc<dyn std::error::Error + Send + Sync>>,
 }
 
@@ -58,7 +58,7 @@ impl std::error::Error for Error {
 }
 
 impl Error {
-    /// A failure of the given kind; `what` names the thing and the place, `hint` what to do.
+    /// Failure of the given kind; `what` names the fault and its place, `hint` the advice.
     #[cold]
     pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self(Box::new(Failure { kind, what: what.into(), hint: hint.into(), source: None }))
@@ -70,7 +70,7 @@ impl Error {
         Self::new(ErrorKind::Argument, what, hint)
     }
 
-    /// Content that is not what its format, or its own header, says.
+    /// Error of content that is not what its format, or its own header, says.
     #[cold]
     pub fn format(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Format, what, hint)
@@ -94,7 +94,8 @@ impl Error {
         Self::new(ErrorKind::Plugin, what, hint)
     }
 
-    /// What the operating system refused, other than [reading or writing a file](Self::io).
+    /// Error of an operation that the operating system refused, other than [reading or writing a
+    /// file](Self::io).
     #[cold]
     pub fn system(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Io, what, hint)
@@ -106,7 +107,8 @@ impl Error {
         Self::new(ErrorKind::Internal, what, "this is a mistake in the program: please report it")
     }
 
-    /// What is made by this program and no format can hold, which is a mistake in it.
+    /// Error of content that this program made and that the format cannot hold, which is a mistake in the
+    /// program.
     #[cold]
     pub fn unwritable(
         what: impl fmt::Display,
@@ -116,36 +118,36 @@ impl Error {
         Self::internal(format!("cannot write {what}: {source}")).because(source)
     }
 
-    /// A file that somebody changed at the same time.
+    /// Error of a file that another process changed while it was read.
     #[cold]
     pub fn changed_while_read(path: &Path) -> Self {
         let hint = "wait until the program that writes it is done, then try again";
         Self::mismatch(format!("{} changed while it was read", path.display()), hint)
     }
 
-    /// This error with the one that it came of.
+    /// Returns this error with the one that caused it.
     #[cold]
     pub fn because(mut self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         self.0.source = Some(source.into().into());
         self
     }
 
-    /// This error with another text of what failed.
+    /// Returns this error with another text of what failed.
     #[cold]
     pub fn saying(mut self, what: impl Into<String>) -> Self {
         self.0.what = what.into();
         self
     }
 
-    /// This error with something else to do about it.
+    /// Returns this error with other advice.
     #[cold]
     pub fn hinting(mut self, hint: impl Into<String>) -> Self {
         self.0.hint = hint.into();
         self
     }
 
-    /// What went wrong as a file was written: what a writer of our own has to say, which knows best, or what
-    /// the system has.
+    /// Error of writing a file: the error of our own writer, which knows best, where `error` holds one, or
+    /// else that of the system.
     #[cold]
     pub fn written(path: &Path, error: std::io::Error) -> Self {
         error.downcast::<Self>().unwrap_or_else(|error| Self::io("write", path, &error))
@@ -165,7 +167,7 @@ impl Error {
             K::ReadOnlyFilesystem => "write to another disk",
             _ => "check the disk and the path, then try again",
         };
-        // "No such file or directory (os error 2)" without the number, which helps nobody.
+        // "No such file or directory (os error 2)" without the number, which helps no user.
         let text = source.to_string();
         let text = text.split(" (os error").next().unwrap_or(&text).to_lowercase();
         // The system's errors cannot be copied, but their numbers say all.
@@ -180,12 +182,12 @@ impl Error {
         Self::new(ErrorKind::Cancelled, "cancelled", "nothing is left half done; start again when you like")
     }
 
-    /// What sort of failure it was.
+    /// Kind of the failure.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// What to do about it: one line, no full stop.
+    /// Advice of what to do about the failure: one line, no full stop.
     pub fn hint(&self) -> &str {
         &self.0.hint
     }

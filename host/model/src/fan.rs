@@ -3,16 +3,16 @@
 /// The corners so far of a polygon or of a strip.
 #[derive(Debug, Default)]
 pub(crate) struct Fan {
-    /// How many, up to three.
+    /// Number of corners, up to three.
     corners: u8,
     /// The two corners that the next one makes a triangle with, in this order.
     pair: [u32; 2],
-    /// Whether that triangle would be turned to the other side.
+    /// Whether the next triangle of a strip has the other orientation.
     turned: bool,
 }
 
 impl Fan {
-    /// The next corner of a polygon, and the triangle that it ends.
+    /// Adds the next corner of a polygon, and returns the triangle that this corner completes.
     #[inline]
     pub(crate) fn polygon(&mut self, index: i64) -> Option<[u32; 3]> {
         let [first, last] = self.pair;
@@ -42,7 +42,7 @@ impl Fan {
         Some(if self.turned { [a, b, corner] } else { [b, a, corner] })
     }
 
-    /// The corner of this index, if two came before it.
+    /// Adds a corner, and returns it if two came before it.
     #[inline]
     fn add(&mut self, index: i64) -> Option<u32> {
         let corner = u32::try_from(index).unwrap_or(u32::MAX);

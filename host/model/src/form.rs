@@ -11,13 +11,13 @@ use crate::{
     Edited, Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
 };
 
-/// What is asked of a conversion.
+/// Options of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conversion {
-    /// Whether it may lose what the new format cannot hold.
+    /// Whether the conversion may lose content that the new format cannot hold.
     pub lossy: bool,
-    /// From one integer to the next, where the new format stores positions as integers and the model does
-    /// not; as fine as its extent allows, where not given.
+    /// Step from one integer to the next, where the new format stores positions as integers and the model
+    /// does not; as fine as the model's extent allows, where not given.
     pub step: Option<f64>,
     /// The position of number zero then; near the model's middle, where not given.
     pub offset: Option<DVec3>,
@@ -25,10 +25,10 @@ pub struct Conversion {
     pub drops_normals: bool,
 }
 
-/// What positions are rounded to in a new format, where they lose digits by it.
+/// Rounding of positions in a new format, where they lose digits by it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rounding {
-    /// From one position to the next, in the model's unit.
+    /// Step from one position to the next, in the model's unit.
     pub step: f64,
     /// The diagonal of the model's box, likewise.
     pub diagonal: f64,
@@ -37,8 +37,8 @@ pub struct Rounding {
 }
 
 impl Rounding {
-    /// What becomes of a model's positions, of which those keep their digits that `stays` says so of, and
-    /// which are a `step` apart within their bounds: nothing where all stay. A reading of them.
+    /// Rounding of a model's positions, which are a `step` apart within their bounds, but for those that keep
+    /// their digits, which `stays` tells; none where all stay. Reads the model.
     pub(crate) fn of_model(
         model: &dyn Model,
         stays: impl Fn(DVec3) -> bool,
@@ -87,10 +87,10 @@ pub(crate) struct ConversionInput<'a> {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct FaceCounts {
     pub(crate) polygons: u64,
-    /// Corners of all of them, and of the largest.
+    /// Corners of all polygons, and (`largest`) of the largest one.
     pub(crate) corners: u64,
     pub(crate) largest: usize,
-    /// Triangles that they are made of.
+    /// Triangles that the polygons are made of.
     pub(crate) triangles: u64,
 }
 
@@ -114,7 +114,7 @@ impl ConversionInput<'_> {
     }
 }
 
-/// So many of something that is called so, as "1 comment" and "3 comments".
+/// Number of things with the noun `one`, as "1 comment" and "3 comments".
 pub(crate) fn counted(count: u64, one: &str) -> String {
     format!("{count} {one}{}", if count == 1 { "" } else { "s" })
 }
@@ -129,13 +129,13 @@ pub(crate) struct WrittenRows<'a> {
     /// The first one's index.
     pub(crate) first: u64,
     pub(crate) positions: &'a [DVec3],
-    /// None, or one for each.
+    /// Normals, one for each vertex or none at all.
     pub(crate) normals: &'a [Vec3],
     /// The first attributes of the model, as many as the form [asks for](Form::attributes).
     pub(crate) attributes: &'a [Vec<f64>],
     /// The vertices as they were read.
     pub(crate) chunk: &'a VertexChunk,
-    /// What became of them, for forms that turn by themselves what follows.
+    /// Positions and gradients after the edit, for forms that turn by themselves the attributes that follow.
     pub(crate) edited: &'a Edited,
 }
 
@@ -156,12 +156,12 @@ impl WrittenRows<'_> {
     }
 }
 
-/// Writes a format. What it holds is bounded by a chunk, but for temporary files.
+/// Writer of a format. Its memory is bounded by a chunk, but for temporary files.
 pub(crate) trait Form: Send + Sync {
-    /// How many of the model's first attributes it needs.
+    /// Number of the model's first attributes that the form needs.
     fn attributes(&self) -> usize;
 
-    /// What the file begins with.
+    /// First bytes of the file.
     fn head(&self) -> Result<Vec<u8>>;
 
     /// Appends vertices.
@@ -176,12 +176,12 @@ pub(crate) trait Form: Send + Sync {
     }
 
     /// Whether faces need all vertices to be there: there can be no more than one version then, and nothing
-    /// to go on with.
+    /// to resume.
     fn needs_vertices(&self) -> bool {
         false
     }
 
-    /// Whether it holds polygons of more than three corners.
+    /// Whether the format holds polygons of more than three corners.
     fn holds_polygons(&self) -> bool {
         false
     }
@@ -194,7 +194,7 @@ pub(crate) trait Form: Send + Sync {
         Ok(())
     }
 
-    /// What the file ends with, once all before is known.
+    /// Last bytes of the file, once all before are known.
     ///
     /// # Errors
     /// The end cannot be made.
@@ -202,12 +202,12 @@ pub(crate) trait Form: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// How many vertices this process left out so far, as they have no position.
+    /// Number of vertices that this process left out so far, as they have no position.
     fn left_out(&self) -> u64 {
         0
     }
 
-    /// What is replaced once all vertices and faces are written: places in the file, and bytes.
+    /// Replacements once all vertices and faces are written: places in the file, and bytes.
     ///
     /// # Errors
     /// A replacement cannot be made.
@@ -215,12 +215,12 @@ pub(crate) trait Form: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// How positions are stored, where they are integers.
+    /// Scale and offset of positions, where the format stores them as integers.
     fn integers(&self) -> Option<ScaledIntegers> {
         None
     }
 
-    /// What positions are rounded to, if they lose digits by it: may take a reading of them.
+    /// Rounding of positions, if they lose digits by it; may read the model.
     ///
     /// # Errors
     /// The model cannot be read.

@@ -8,7 +8,7 @@ use crate::pool::Pool;
 use crate::source::SourceFile;
 use crate::{Error, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
 
-/// Extensions of all formats, by which names say what a file is.
+/// Extensions of all formats, by which a file's name tells its format.
 const EXTENSIONS: [&str; 12] = [
     "ply",
     "obj",
@@ -24,16 +24,16 @@ const EXTENSIONS: [&str; 12] = [
     splats::records::EXTENSION,
 ];
 
-/// The extensions of formats whose files say in a header how they are laid out, and where on earth: it takes
-/// no reading of all, and no cache, to open one.
+/// Extensions of formats whose files describe their layout, and their place on earth, in a header: opening
+/// one takes no reading of the whole file, and no cache.
 const WITH_HEADER: [&str; 4] = ["ply", "las", "laz", "e57"];
 
-/// Whether a file that is called so tells all that it says of itself as soon as it is opened.
+/// Whether a file of this name tells all that it says of itself as soon as it is opened.
 pub fn tells_when_opened(path: &Path) -> bool {
     WITH_HEADER.contains(&extension(path).as_str())
 }
 
-/// A test whether a file that begins so is of a format, and what opens it.
+/// Test whether a file with these first bytes is of a format, and the function that opens it.
 type Opener = (fn(&[u8]) -> bool, fn(SourceFile, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
@@ -52,7 +52,7 @@ pub fn extensions() -> impl Iterator<Item = &'static str> {
     EXTENSIONS.into_iter().chain(columns::EXTENSIONS)
 }
 
-/// Whether a path's extension says that a file is of a format, and of another one than a model.
+/// Whether a path's extension is that of a known format, and of another one than the model's.
 pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     let extension = extension(path);
     let is_known = extensions().any(|known| known == extension);
@@ -60,7 +60,7 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     is_known && !own.is_empty() && !own.contains(&extension.as_str())
 }
 
-/// What is to be said of a name that promises more than is written.
+/// Note on a file name that promises more than is written.
 pub fn note_on_name(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     name.ends_with(".copc.laz").then(|| {
@@ -100,9 +100,9 @@ pub(crate) fn extension(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 
-/// Opens a model in one file, of whatever format its content is; where that cannot tell, as of plain text,
-/// the extension of its name does. Of text in columns, these are what `columns` says. One of a pool is closed
-/// when others are read.
+/// Opens a model in one file, in the format that its content shows; where the content cannot tell, as of
+/// plain text, the extension of the file's name does. For text in columns, these are what `columns` says. The
+/// file of a pool is closed when others are read.
 ///
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says; columns are

@@ -28,39 +28,39 @@ impl Frame {
         Self { origin: bounds.center(), scale }
     }
 
-    /// Whether both numbers make sense: a frame read from a file may hold anything.
+    /// Whether origin and scale make sense: a frame read from a file may hold anything.
     pub fn is_valid(&self) -> bool {
         self.origin.is_finite() && self.scale.is_normal() && self.scale > 0.0
     }
 
-    /// From the model's coordinates to local ones.
+    /// Local coordinates of a position in the model's coordinates.
     #[inline]
     pub fn to_local(&self, p: DVec3) -> Vec3 {
         self.to_local_exact(p).as_vec3()
     }
 
-    /// From local coordinates to the model's.
+    /// Position in the model's coordinates of one in local coordinates.
     #[inline]
     pub fn to_model(&self, p: Vec3) -> DVec3 {
         self.to_model_exact(p.as_dvec3())
     }
 
-    /// As [`to_local`](Self::to_local), in double precision.
+    /// Local coordinates as of [`to_local`](Self::to_local), in double precision.
     #[inline]
     pub fn to_local_exact(&self, p: DVec3) -> DVec3 {
         // The inverse of a power of two is exact.
         (p - self.origin) * (1.0 / self.scale)
     }
 
-    /// As [`to_model`](Self::to_model), in double precision.
+    /// Position as of [`to_model`](Self::to_model), in double precision.
     #[inline]
     pub fn to_model_exact(&self, p: DVec3) -> DVec3 {
         p * self.scale + self.origin
     }
 }
 
-/// Whether all coordinates are finite: as they say themselves, but without a branch for each. What is not
-/// finite is no number as often as zero.
+/// Whether all coordinates are finite, as [`DVec3::is_finite`] tells, but without a branch for each: the
+/// product with zero of a number that is not finite is NaN.
 #[inline]
 pub fn is_finite(p: DVec3) -> bool {
     (p * 0.0).element_sum() == 0.0

@@ -7,11 +7,11 @@ pub struct Histogram {
     bins: Vec<u64>,
 }
 
-/// Bits of a number behind those that tell the bin: 5 of the mantissa's do.
+/// Bits of a number behind those that determine the bin: 5 of the mantissa's are enough.
 const SHIFT: u32 = 52 - 5;
-/// The first bin: what is less than 2⁻⁴⁰, which is 9.1e-13.
+/// First bin, for numbers below 2⁻⁴⁰, which is 9.1e-13.
 const FIRST: u64 = (1023 - 40) << 5;
-/// To 2¹⁰.
+/// Number of bins, up to 2¹⁰.
 const BINS: usize = 50 << 5;
 
 impl Default for Histogram {
@@ -30,7 +30,7 @@ impl Histogram {
     /// Counts a value so many times.
     #[inline]
     pub fn add_many(&mut self, x: f64, count: u64) {
-        // What is not positive, or no number, is below the scale.
+        // A number that is not positive, or NaN, counts as below the scale.
         let bits = if x > 0.0 { x.to_bits() >> SHIFT } else { 0 };
         let bin = (bits.saturating_sub(FIRST) as usize).min(BINS - 1);
         self.bins[bin] += count;

@@ -12,7 +12,7 @@ use crate::model::{
 };
 use crate::{Error, Progress, Result};
 
-/// What stands for its name in messages.
+/// Name of the model in messages, in place of a path.
 const NAME: &str = "the arrays in memory";
 
 /// A mesh or a cloud whose arrays are in memory already.
@@ -72,7 +72,7 @@ impl VertexReader for MemoryVertices<'_> {
         chunk.normals.clear();
         chunk.normals.extend_from_slice(self.model.normals.get(range).unwrap_or_default());
         chunk.raw.clear();
-        // What tells two models apart, as the bytes of a file do.
+        // Bytes by which two models are told apart, as those of a file are.
         chunk.raw.extend_from_slice(bytemuck::cast_slice(&chunk.positions));
         chunk.raw.extend_from_slice(bytemuck::cast_slice(&chunk.normals));
         Ok(!chunk.is_empty())

@@ -15,14 +15,14 @@ pub struct Vertices<'a> {
     pub positions: &'a [DVec3],
     /// Normals as stored; none where the model has none.
     pub normals: &'a [Vec3],
-    /// The chunk's attributes that were asked for, and which of its vertices is the first here.
+    /// Attributes of the chunk that were asked for, and (`first`) the index in the chunk of the first vertex
+    /// here.
     attributes: &'a [Vec<f64>],
     first: usize,
 }
 
 impl Vertices<'_> {
-    /// A number of one of these vertices, by the attribute's place, of an attribute that was
-    /// [asked for](in_step).
+    /// Number of one of these vertices: that of the attribute at a place, which was [asked for](in_step).
     #[inline]
     pub fn attribute(&self, place: usize, vertex: usize) -> f64 {
         self.attributes[place][self.first + vertex]
@@ -62,7 +62,7 @@ impl ChunkCursor<'_> {
     }
 }
 
-/// Streams the vertices of versions of a model through `visit`, the same ones of all of them at a time.
+/// Streams the vertices of versions of a model through `visit`, the same vertices of all versions at a time.
 /// Begins no stage of the progress, and advances it by the bytes of the first model, of which so many of the
 /// first [attributes](crate::ModelInfo::attributes) come with the vertices.
 ///
@@ -81,19 +81,19 @@ pub fn in_step(
     chunks_in_step(models, how, attributes, progress, |_, parts| visit(parts))
 }
 
-/// Vertices of a range that one thread reads: so many that the files are read in large pieces.
+/// Vertices of a range that one thread reads: enough that the files are read in large pieces.
 const RANGE: u64 = 1 << 18;
 
-/// Ranges that are worked on for each thread until what was found of them is put together.
+/// Ranges for each thread that are worked on before their results are put together.
 const RANGES_AHEAD: usize = 2;
 
 /// Vertices of a chunk there: so few that those of several models stay near the processor from reading to
 /// comparing, and that their memory is not asked of the system anew for each range.
 const RANGE_CHUNK: usize = 1 << 12;
 
-/// As [`in_step`], by ranges of vertices on all threads where the models can be read from anywhere: what
-/// `visit` finds in each range, beginning with the default, comes to `merge` in the order of the ranges,
-/// which are the same for any number of threads. `visit` is told the first vertex' number, too.
+/// Streams versions as [`in_step`] does, by ranges of vertices on all threads where the models can be read
+/// from anywhere: what `visit` finds in each range, beginning with the default, comes to `merge` in the order
+/// of the ranges, which are the same for any number of threads. `visit` gets the first vertex' number, too.
 ///
 /// Memory: for each thread a chunk of 4096 vertices of each model, and what is found of two ranges.
 ///
@@ -129,7 +129,7 @@ pub fn in_ranges<T: Default + Send>(
     Ok(())
 }
 
-/// How many vertices all models have.
+/// Number of vertices, which all models have in common.
 fn checked_count(models: &[&dyn Model]) -> Result<u64> {
     let Some(first) = models.first() else { return Ok(0) };
     let vertices = first.info().vertices;
@@ -147,7 +147,8 @@ fn checked_count(models: &[&dyn Model]) -> Result<u64> {
     Ok(vertices)
 }
 
-/// As [`in_step`], of the vertices of a range alone, each part with the number of its first one.
+/// Streams versions as [`in_step`] does, over the vertices of a range alone, each part with the number of its
+/// first vertex.
 ///
 /// # Errors
 /// As of [`in_step`], but that the models' numbers of vertices are not compared.
@@ -161,7 +162,7 @@ pub fn range_in_step(
     chunks_in_step(models, (range, SMALL_CHUNK), attributes, progress, visit)
 }
 
-/// As [`range_in_step`], in chunks of so many vertices at most.
+/// Streams versions as [`range_in_step`] does, in chunks of so many vertices at most.
 fn chunks_in_step(
     models: &[&dyn Model],
     (range, chunk): (Range<u64>, usize),

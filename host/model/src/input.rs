@@ -22,7 +22,7 @@ pub fn open(path: &Path) -> Result<File> {
     Ok(file)
 }
 
-/// Whether a model may be there; whether an object is, is told when it is opened.
+/// Whether a model may be at a path. For an object this is found out only when it is opened.
 pub fn may_be_there(path: &Path) -> bool {
     is_object(path) || path.exists()
 }
@@ -79,7 +79,8 @@ fn check_regular(path: &Path, is: &Metadata) -> Result<()> {
     Ok(())
 }
 
-/// Opens whatever is there without waiting for anybody; not through a link, unless `follow` says so.
+/// Opens the file at a path, of any kind, without waiting for another process; not through a link, unless
+/// `follow` allows it.
 pub(crate) fn open_at_once(path: &Path, follow: bool) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true);
@@ -131,7 +132,7 @@ impl Identity {
         Self(Known::File(is.dev(), is.ino()))
     }
 
-    /// Whether an open file is the one of this name, which is no link.
+    /// Whether an open file is the one at this path, which is no link.
     pub(crate) fn is_at(file: &File, path: &Path) -> bool {
         #[cfg(unix)]
         {

@@ -5,9 +5,9 @@
 //! chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one
 //! for each thread, with up to [`MAX_VERSIONS`] new versions, and the bytes of a few more.
 //!
-//! What is written appears whole or not at all ([`output`], [`output_folder`]), and is gone on with after the
-//! program was killed ([`resumable`]). What all crates above speak of is here as well: errors, progress,
-//! [local coordinates](frame).
+//! Files that are written appear whole or not at all ([`output`], [`output_folder`]), and are resumed after
+//! the program was killed ([`resumable`]). The vocabulary of all crates above is here as well: errors,
+//! progress, [local coordinates](frame).
 //!
 //! Nothing here prints, opens a window, or knows of samples.
 

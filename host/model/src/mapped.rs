@@ -1,14 +1,14 @@
-//! Temporary files as memory, of which little stays resident: what is mapped counts as the process' own
-//! wherever its memory is looked at, though the system may take it back at any time.
+//! Temporary files as memory, of which little stays resident: mapped pages count as the process' own wherever
+//! its memory is measured, though the system may take them back at any time.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
 use memmap2::{Mmap, MmapMut};
 
-/// Bytes that are looked at until all pages are given back: what a pass holds of its files, if it goes
-/// through them in about their order. What is at hand comes back at once; a pass in no order gets all files
-/// back each time.
+/// Bytes that are read or written until all pages are given back, which bounds the resident part of a pass
+/// that goes through its files in about their order. Pages in the system's cache come back at once; a pass in
+/// no order gets all files back each time.
 const RESIDENT: u64 = 64 << 20;
 
 /// All maps of this process.
@@ -32,7 +32,7 @@ pub type MapMut = Mapped<MmapMut>;
 pub struct Mapped<M: Deref<Target = [u8]>>(M);
 
 impl<M: Deref<Target = [u8]>> Mapped<M> {
-    /// A map of a whole file, which is shared with that: what is written to it is in the file.
+    /// Map of a whole file, with which it is shared: bytes that are written to the map are in the file.
     pub(crate) fn new(map: M) -> Self {
         let place = (map.as_ptr() as usize, map.len());
         MAPS.lock().unwrap_or_else(PoisonError::into_inner).all.push(place);
@@ -62,8 +62,8 @@ impl<M: DerefMut<Target = [u8]>> DerefMut for Mapped<M> {
     }
 }
 
-/// Tells that about so many bytes of mapped files were looked at, which others are looked at next: from time
-/// to time all pages go back to the system, which keeps what is in them.
+/// Tells that about so many bytes of mapped files were used, which are not used again soon: from time to time
+/// all pages go back to the system, which keeps their content.
 pub fn looked_at(bytes: usize) {
     let mut maps = MAPS.lock().unwrap_or_else(PoisonError::into_inner);
     maps.looked_at += bytes as u64;
@@ -81,7 +81,7 @@ fn release((address, length): (usize, usize)) {
     let _ = unsafe { libc::madvise(address as *mut libc::c_void, length, libc::MADV_DONTNEED) };
 }
 
-/// Nothing: these systems are not told.
+/// Does nothing: these systems are not told.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn release(_place: (usize, usize)) {}
 

@@ -1,5 +1,5 @@
-//! Memory of this process: the peak of what it really holds, without the pages of files in the cache; what
-//! it gives back; in what pages it is; and how several threads change the numbers of one list.
+//! Memory of this process: the peak of its own memory, without the pages of files in the cache; blocks that
+//! go back to the system; large pages; and lists whose numbers several threads change.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -11,7 +11,7 @@ use bytemuck::Zeroable;
 /// Time between two looks. Large buffers live longer than this.
 const INTERVAL: Duration = Duration::from_millis(5);
 
-/// From this many bytes on, a block of memory goes back to the system once it is free.
+/// Size in bytes from which on a block of memory goes back to the system once it is free.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE: i32 = 256 << 10;
 
@@ -26,7 +26,8 @@ const LITTLE_FREE: i32 = 4 << 20;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MUCH_FREE: i32 = 64 << 20;
 
-/// Whether large blocks go back to the system, and how many are at work that use them again.
+/// Whether large blocks go back to the system, and (`REUSING`) the number of those at work that use them
+/// again.
 static RETURNING: AtomicBool = AtomicBool::new(false);
 static REUSING: AtomicU32 = AtomicU32::new(0);
 
@@ -39,9 +40,9 @@ pub fn return_large_blocks() {
     set_allocator(LARGE, LITTLE_FREE);
 }
 
-/// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to
-/// the system: for work that takes and frees many of them, as pages that the system gives out anew cost more
-/// than what is done in them. What is free in the end goes back to it.
+/// As long as a value of this type exists, large blocks are used again where they would [go
+/// back](return_large_blocks) to the system: for work that takes and frees many of them, as new pages from
+/// the system cost more than the work in them. Blocks that are free in the end go back to the system.
 ///
 /// Memory: blocks that are free meanwhile stay with the thread that took them, 64 MiB of each at most.
 pub struct Reusing(());
@@ -70,7 +71,7 @@ impl Drop for Reusing {
     }
 }
 
-/// Gives all that is free back to the system, and large blocks from now on.
+/// Returns all free memory to the system now, and large blocks from now on.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn give_back() {
     set_allocator(LARGE, LITTLE_FREE);
@@ -95,9 +96,9 @@ fn set_allocator(block: i32, free: i32) {
 /// Bytes of a large page.
 pub(crate) const LARGE_PAGE: usize = 2 << 20;
 
-/// So many zeros, the system's own, which whoever writes to first takes from there: for long lists that are
-/// held for long. The system is asked for large pages, by which they are there and are looked up in fewer
-/// steps; where it gives none, nothing else changes.
+/// List of so many zeros, in fresh pages of the system, which a thread gets when it first writes there: for
+/// long lists that are held for long. The system is asked for large pages, which are allocated and looked up
+/// in fewer steps; where it gives none, nothing else changes.
 pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
     let list: Vec<T> = bytemuck::zeroed_vec(count);
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -127,7 +128,7 @@ pub fn atomics(list: &mut [u32]) -> &[AtomicU32] {
     }
 }
 
-/// Makes a buffer one of so many bytes, whatever these are: whoever calls overwrites them.
+/// Resizes a buffer to so many bytes, whatever these are: the caller overwrites them.
 pub(crate) fn resize(buffer: &mut Vec<u8>, bytes: usize) {
     if buffer.capacity() < bytes {
         *buffer = zeros(bytes);
@@ -188,7 +189,7 @@ pub fn anonymous_of(process: u32) -> Option<u64> {
     Some(own + ids.filter_map(anonymous_of).sum::<u64>())
 }
 
-/// Nothing: these systems are not asked.
+/// Returns `None`: these systems are not asked.
 #[cfg(not(target_os = "linux"))]
 pub fn anonymous_of(_process: u32) -> Option<u64> {
     None
@@ -203,8 +204,8 @@ pub fn anonymous() -> Option<u64> {
     anonymous_by("/proc/self/statm")
 }
 
-/// What is resident less what is of files or shared: a few numbers, where `status`, which tells it at once,
-/// takes the system ten times as long. `None` of a process that has ended, of which all of them are 0.
+/// Anonymous memory: the resident pages less those of files or shared ones. `status`, which has this number,
+/// takes the system ten times as long. `None` for a process that has ended, of which all numbers are 0.
 #[cfg(target_os = "linux")]
 fn anonymous_by(file: &str) -> Option<u64> {
     let text = std::fs::read_to_string(file).ok()?;
@@ -222,7 +223,7 @@ fn told_by(file: &str, name: &str) -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Memory of the machine in bytes; 4 GiB where it does not tell.
+/// Memory of the machine in bytes; 4 GiB where the machine does not tell.
 pub fn of_machine() -> u64 {
     #[cfg(target_os = "linux")]
     let total = told_by("/proc/meminfo", "MemTotal:");
@@ -235,8 +236,8 @@ pub fn of_machine() -> u64 {
     total.unwrap_or(4 << 30)
 }
 
-/// Resident memory in bytes, now, of which these systems do not tell what is of files; `None` where one does
-/// not tell.
+/// Resident memory in bytes, now, from which these systems do not separate that of files; `None` where a
+/// system does not tell.
 #[cfg(not(target_os = "linux"))]
 pub fn anonymous() -> Option<u64> {
     use sysinfo::{ProcessRefreshKind, ProcessesToUpdate, System, get_current_pid};
@@ -255,7 +256,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn anonymous_memory_is_as_the_system_tells_in_words() {
-        // Not left out, though nobody reads it.
+        // The list must not be optimised away, though no code reads it.
         let list = std::hint::black_box(vec![1u8; 64 << 20]);
         // Other tests take and free memory between the two looks, but not each time.
         let looks: Vec<[u64; 2]> = (0..10)

@@ -22,17 +22,17 @@ use crate::{Attribute, Error, Progress, Result, ScaledIntegers, Summary};
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
 
-/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain
+/// Most vertices in a chunk where they are only read: several chunks are held then, and large ones gain
 /// nothing.
 pub const SMALL_CHUNK: usize = 1 << 14;
 
 /// Most triangles in a chunk.
 pub const CHUNK_TRIANGLES: usize = 1 << 16;
 
-/// Most versions that one reading of a model writes: the bound of what is held beside each chunk.
+/// Most versions that one reading of a model writes: a bound of what is held beside each chunk.
 pub const MAX_VERSIONS: usize = 4;
 
-/// How positions are stored in the file. They are written back in the same type.
+/// Type of the numbers of positions in the file, in which they are written back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scalar {
     /// 32-bit IEEE float.
@@ -71,7 +71,7 @@ pub struct ModelInfo {
     pub faces: u64,
     /// Whether each vertex has a normal.
     pub has_normals: bool,
-    /// The type of the positions: what holds them exactly, where they are [integers](Self::integers).
+    /// Type of the positions; one that holds them exactly, where they are [integers](Self::integers).
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
@@ -88,20 +88,21 @@ pub struct ModelInfo {
     pub vertex_bytes: u64,
     /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
     pub face_bytes: u64,
-    /// The whole numbers that positions are stored as, where they are.
+    /// Scale and offset of the integers as which positions are stored, where they are.
     pub integers: Option<ScaledIntegers>,
-    /// The integers of what is written: with another offset, where one was [chosen](Model::make_room).
+    /// Scale and offset of the integers in files that are written: with another offset, where one was
+    /// [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
-    /// From one whole number that positions are written as to the next, along three directions at right
-    /// angles: the coarsest, where there are several; zero where they are floats.
+    /// Step from one whole number that positions are written as to the next, along three directions at right
+    /// angles: the coarsest, where there are several; zero where positions are floats.
     pub step: DVec3,
-    /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
+    /// Ranges of whole numbers that were [chosen](Model::make_room) for files that are written.
     pub ranges: Vec<[i64; 2]>,
-    /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
+    /// Coordinate reference system that the file names, as "EPSG:25832" or the name in its WKT.
     pub crs: Option<String>,
 }
 
-/// Of a model without any vertices, each of which could be read without the others.
+/// Info on a model without any vertices, each of which could be read without the others.
 impl Default for ModelInfo {
     fn default() -> Self {
         Self {
@@ -127,7 +128,7 @@ impl Default for ModelInfo {
 }
 
 impl ModelInfo {
-    /// Whether a range of vertices is read without others: neither all before them, nor those of the same
+    /// Whether a range of vertices can be read without others: neither all before it, nor those of the same
     /// compressed block.
     pub fn reads_exactly(&self) -> bool {
         self.random_access && self.block_vertices == 1
@@ -138,13 +139,13 @@ impl ModelInfo {
         if self.random_access { self.block_vertices - 1 } else { u64::MAX }
     }
 
-    /// How far a position that is written as whole numbers is from where it should be: the root of the mean
-    /// square; zero where they are floats.
+    /// Distance of a position that is written as whole numbers from its exact place, the root of the mean
+    /// square, in model units; zero where positions are floats.
     pub fn rounding(&self) -> f64 {
         (self.step.length_squared() / 12.0).sqrt()
     }
 
-    /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
+    /// Position that is read back when `p` was written to such a file; one that does not fit stays as it is.
     pub fn rounded(&self, p: DVec3) -> DVec3 {
         match (&self.written, self.position_type) {
             (Some(integers), _) => integers.nearest(p).map_or(p, |i| integers.position(i)),
@@ -165,8 +166,8 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
-    /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which
-    /// is normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
+    /// Tangents as glTF has them: a direction along the surface, and the side of the bitangent, which is
+    /// normal × direction times the last number (1 or -1). Only where a model is rewritten that has any.
     pub tangents: Vec<Vec4>,
     /// Other numbers of the vertices [turn with the surface](Model::following): only where the model is
     /// rewritten.
@@ -176,15 +177,15 @@ pub struct VertexChunk {
     pub(crate) raw: Vec<u8>,
     /// The vertices' records, where `raw` is compressed.
     pub(crate) records: Vec<u8>,
-    /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
+    /// Number of vertices and of bytes of each compressed block in `raw`.
     pub(crate) blocks: Vec<CompressedBlock>,
-    /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
+    /// Range of bytes in `raw` of each vertex' numbers; its exact meaning is up to the format.
     pub(crate) spans: Vec<[u32; 2]>,
-    /// The pages that are patched, where `raw` is what the vertices have of them.
+    /// Pages that are patched, where `raw` is only the vertices' bytes of them.
     pub(crate) pages: Vec<u8>,
-    /// Vertices of other chunks of which these bytes have some numbers.
+    /// Vertices of other chunks that have some of their numbers in these bytes.
     pub(crate) beside: StraddlingVertices,
-    /// What the format has to know of the bytes besides, for each part that was read by itself.
+    /// Data of the format's own that belong to the bytes, for each part that was read by itself.
     pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
     pub(crate) of_normals: bool,
@@ -203,7 +204,7 @@ impl VertexChunk {
         self.of_format.append(&mut behind.of_format);
     }
 
-    /// Index in its file of the first vertex here.
+    /// Index of the first vertex of the chunk in its file.
     pub(crate) fn first_of_file(&self) -> u64 {
         self.first - self.before
     }
@@ -233,20 +234,20 @@ impl VertexChunk {
         (if self.pages.is_empty() { &self.raw } else { &self.pages }).len() as u64
     }
 
-    /// What the format had to know of former bytes, to be filled anew.
+    /// Data of the format's own of former bytes, to be filled anew.
     pub(crate) fn take_of_format<T: Any + Default>(&mut self) -> Box<T> {
         self.of_format.drain(..).find_map(|of| of.downcast::<T>().ok()).unwrap_or_default()
     }
 }
 
-/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than
-/// the rest: in groups, each by itself, and neither begun nor ended.
+/// Vertices that are edited once more, since a part of their numbers is among the bytes of another chunk than
+/// the rest: in groups, each by itself, which are neither begun nor ended.
 #[derive(Debug, Default)]
 pub(crate) struct StraddlingVertices {
     pub(crate) positions: Vec<DVec3>,
-    /// As many, where the model has any.
+    /// Normals, as many as positions, where the model has any.
     pub(crate) normals: Vec<Vec3>,
-    /// How many vertices each group has.
+    /// Number of vertices of each group.
     pub(crate) groups: Vec<usize>,
 }
 
@@ -257,7 +258,7 @@ pub(crate) struct CompressedBlock {
     pub(crate) bytes: u64,
 }
 
-/// What the vertices of a chunk become in one version of the model.
+/// Vertices of a chunk in one version of the model.
 ///
 /// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 36 more with gradients; [`Model::rewrite`] holds one
 /// for each version and thread.
@@ -275,14 +276,14 @@ pub struct Edited {
 }
 
 impl Edited {
-    /// What becomes of the chunk's tangents.
+    /// Tangents of the chunk's vertices in this version.
     pub(crate) fn tangents(&self, chunk: &VertexChunk) -> Vec<Vec4> {
         let turned = chunk.tangents.iter().zip(&self.gradients);
         turned.map(|(t, gradient)| follow::tangent(gradient, *t, self.mirrored)).collect()
     }
 }
 
-/// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
+/// Treatment of a model's normals when it is rewritten. Of no effect on a model without normals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Normals {
     /// Normals keep their bytes.
@@ -294,16 +295,16 @@ pub enum Normals {
     Drop,
 }
 
-/// Gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A function of a
-/// chunk and its versions is one.
+/// Function that gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A
+/// closure on a chunk and its versions is one.
 pub trait Edit: Sync {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, how many bytes of vertices come
-    /// before that.
+    /// Gets, before all else, the number of bytes of vertices before the [part](Rewriting::only) of a file
+    /// that is rewritten, if it is a part.
     fn begin_behind(&self, _vertex_bytes: u64) {}
 
-    /// Is told of each chunk before it is decoded: one at a time, in the file's order. Where the model is
-    /// made of several [tiles](Model::tiles), vertices are counted in each by itself, and one is over before
-    /// the next begins.
+    /// Gets each chunk before it is decoded: one at a time, in the file's order. Where the model is made of
+    /// several [tiles](Model::tiles), vertices are counted in each tile by itself, and one tile is over
+    /// before the next begins.
     ///
     /// # Errors
     /// What has been read so far shows that the work is in vain.
@@ -319,7 +320,7 @@ pub trait Edit: Sync {
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()>;
 
     /// Edits vertices once more for their normals alone, where these stand elsewhere in the file than the
-    /// positions: neither begun nor ended.
+    /// positions: such chunks are neither begun nor ended.
     ///
     /// # Errors
     /// As of [`edit`](Self::edit).
@@ -327,7 +328,7 @@ pub trait Edit: Sync {
         self.edit(chunk, versions)
     }
 
-    /// Is told of each edited chunk, by its first vertex, before it is written: one at a time, in the file's
+    /// Gets each edited chunk, by its first vertex, before the chunk is written: one at a time, in the file's
     /// order.
     ///
     /// # Errors
@@ -336,7 +337,7 @@ pub trait Edit: Sync {
         Ok(())
     }
 
-    /// Whether it is known that nothing at all changes in a version.
+    /// Whether it is known that a version is the same as the model.
     fn is_still(&self, _version: usize) -> bool {
         false
     }
@@ -355,28 +356,29 @@ pub struct RawChunk<'a> {
     pub first: u64,
     /// The number of vertices.
     pub vertices: usize,
-    /// The bytes of the file that hold them.
+    /// Bytes of the file that hold the vertices.
     pub bytes: &'a [u8],
-    /// Whether they are edited: the outputs may have them already.
+    /// Whether these vertices are edited: the outputs may have them already.
     pub is_edited: bool,
 }
 
-/// How a model is rewritten.
+/// Options of rewriting a model.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Rewriting {
-    /// What becomes of the normals.
+    /// Treatment of the normals.
     pub normals: Normals,
-    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
+    /// Number of pieces at the beginning that are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
-    /// So many files of a model that is made of [tiles](Model::tiles) are read, but neither edited nor
-    /// written; pieces are those of the one after them.
+    /// Number of files of a model that is made of [tiles](Model::tiles) that are read, but neither edited nor
+    /// written; pieces are those of the file after them.
     pub files_done: u64,
     /// The pieces that alone are read, edited and written: a part of a file that can be
     /// [divided](Model::division).
     pub only: Option<PieceRange>,
-    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format can:
-    /// it pays where vertices are in no order. Zero is one. The file comes out in the same pieces.
+    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format
+    /// supports that: it pays where vertices are in no order. Zero is as one. The file comes out in the same
+    /// pieces.
     pub pieces_at_once: u64,
 }
 
@@ -385,31 +387,31 @@ pub struct Rewriting {
 pub struct PieceRange {
     /// The first piece.
     pub first: u64,
-    /// The one behind the last; to the end of the file where not given, and what is known only then is
-    /// replaced in the outputs.
+    /// Index behind the last piece; the end of the file where not given, and then bytes that are known only
+    /// there are replaced in the outputs.
     pub end: Option<u64>,
 }
 
-/// How the rewriting of a model can be divided among calls that know nothing of each other. The pieces of a
-/// model that is made of [tiles](Model::tiles) are these, each as a whole.
+/// Division of the rewriting of a model among calls that know nothing of each other. The pieces of a model
+/// that is made of [tiles](Model::tiles) are its tiles, each as a whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Division {
-    /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
-    /// there are any, follow from what became of these.
+    /// Number of pieces, from the file's beginning on, that each follow from the model alone. The pieces
+    /// behind them, if there are any, follow from the new version of these.
     pub pieces: u64,
     /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
-    /// Whether it is known beforehand where each of them goes: as it has as many bytes in the new file as in
-    /// the old one, and nothing is replaced in them in the end but before the vertices; or as it is a file by
-    /// itself.
+    /// Whether the place of each piece in the new file is known beforehand: as the piece has as many bytes in
+    /// the new file as in the old one, and nothing is replaced in the end in the pieces with vertices or
+    /// behind them; or as it is a file by itself.
     pub in_place: bool,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
+/// Destination of a new version of a model. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file
-    /// it begins.
+    /// Gets, before all else, the byte of the old file at which the [part](Rewriting::only) begins that is
+    /// rewritten, if it is a part.
     ///
     /// # Errors
     /// Nothing can be written there.
@@ -417,7 +419,8 @@ pub trait Output: Send {
         Ok(())
     }
 
-    /// Is told first, where the model is made of [tiles](Model::tiles), which of their files comes next.
+    /// Gets, before all else, the number of the file that comes next, where the model is made of
+    /// [tiles](Model::tiles).
     ///
     /// # Errors
     /// Nothing can be written there.
@@ -425,9 +428,9 @@ pub trait Output: Send {
         Err(io::Error::new(io::ErrorKind::Unsupported, "a model of several files goes to a folder"))
     }
 
-    /// Takes the next pieces of the new file, so many, which stand for `source_bytes` of the model, and what
-    /// other places of the file have to know of them. The same model, rewritten in the same way, comes in the
-    /// same pieces each time.
+    /// Takes the next `pieces` pieces of the new file, which stand for `source_bytes` of the model, and their
+    /// summary for other places of the file. The same model, rewritten in the same way, comes in the same
+    /// pieces each time.
     ///
     /// # Errors
     /// The pieces cannot be written.
@@ -452,14 +455,14 @@ pub trait Output: Send {
         Summary::default()
     }
 
-    /// Replaces bytes of pieces that were written: what the file says at its beginning of what comes later.
-    /// Is called after the last piece, and before [`finish`](Self::finish).
+    /// Replaces bytes of pieces that were written, such as numbers at the beginning of a file that depend on
+    /// later pieces. Called after the last piece, and before [`finish`](Self::finish).
     ///
     /// # Errors
     /// The bytes cannot be replaced.
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
-    /// Is called after the last piece of each file.
+    /// Ends a file, after its last piece.
     ///
     /// # Errors
     /// What is still held cannot be written.
@@ -486,7 +489,7 @@ pub const FACES_OF_A_BLOCK: u64 = 16;
 /// A place in the file from which faces can be read: see [`Model::faces_at`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FaceMark {
-    /// How many of the chunk's triangles come before it.
+    /// Number of the chunk's triangles before the mark.
     pub triangle: usize,
     /// The byte of the file at which a face begins, or the last one ends; of a model of several files,
     /// counted through all of them, each with a byte more than it has.
@@ -500,10 +503,10 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
-    /// The triangles, ascending, that are of the same polygon as the one before, at whose first corner and
-    /// last one they begin: the last triangle of the chunk before, if it is the first one here.
+    /// Indices, ascending, of the triangles that belong to the same polygon as the triangle before, at whose
+    /// first corner and last one they begin: the last triangle of the chunk before, for the first one here.
     pub continued: Vec<u32>,
-    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
+    /// Starts of blocks of [`FACES_OF_A_BLOCK`] faces, ascending; at the very end, the end of the last one.
     /// None where faces cannot be read but all at once.
     pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
@@ -534,14 +537,14 @@ impl FaceChunk {
 
 /// Reads consecutive vertices of a model, a chunk at a time.
 pub trait VertexReader: Send {
-    /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
+    /// Sets the most vertices of the chunks to come: [`CHUNK_VERTICES`] until then, and at most.
     fn set_chunk(&mut self, vertices: usize);
 
-    /// From now on nothing is asked of chunks but positions, normals and [raw bytes](VertexChunk::raw): what
-    /// takes time to read besides is left out.
+    /// Leaves out from now on all that takes time to read and is neither position, normal nor [raw
+    /// bytes](VertexChunk::raw).
     fn skip_attributes(&mut self) {}
 
-    /// From now on attributes are left out that are no colours.
+    /// Leaves out from now on attributes that are no colours.
     fn skip_all_but_colors(&mut self) {}
 
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
@@ -680,7 +683,7 @@ fn read_ahead<C: Default + Send>(
     })
 }
 
-/// Some attributes, taken out of all up to the last of them.
+/// Reads some attributes by reading all up to the last one of them.
 pub(crate) fn some_by_all(
     attributes: impl FnOnce(&mut [Vec<f64>]) -> Result<()>,
     places: &[usize],
@@ -698,7 +701,7 @@ pub(crate) fn some_by_all(
 pub struct Tile {
     /// The file.
     pub path: PathBuf,
-    /// What it is called in a folder that all of them are written to.
+    /// Name of the tile in a folder that all tiles are written to.
     pub name: PathBuf,
     /// The tile's size in bytes.
     pub bytes: u64,
@@ -708,19 +711,19 @@ pub struct Tile {
 
 /// A model on disk that can be streamed any number of times, from several threads.
 pub trait Model: Send + Sync {
-    /// What is known without reading the vertices.
+    /// Info on the model that is known without reading the vertices.
     fn info(&self) -> &ModelInfo;
 
     /// The file; of a model that is made of several, a pattern that they have in common.
     fn path(&self) -> &Path;
 
-    /// Files beside it that are part of the model.
+    /// Files beside the model's own file that are part of the model.
     fn other_files(&self) -> Vec<&Path> {
         Vec::new()
     }
 
-    /// The files that it is made of, if these are several, in the order of their vertices: what is
-    /// [rewritten](Self::rewrite) is as many files then.
+    /// Files that the model is made of, if these are several, in the order of their vertices: it is
+    /// [rewritten](Self::rewrite) to as many files then.
     fn tiles(&self) -> &[Tile] {
         &[]
     }
@@ -730,7 +733,7 @@ pub trait Model: Send + Sync {
         &[]
     }
 
-    /// What else the file says of itself, for people: a line for each scan, where it has several.
+    /// Details that the file tells of itself, for people: a line for each scan, where it has several.
     fn details(&self) -> Vec<String> {
         Vec::new()
     }
@@ -741,19 +744,19 @@ pub trait Model: Send + Sync {
         None
     }
 
-    /// What the file says of its attributes that has no place in most formats: lines that PLY keeps as
+    /// Remarks of the file on its attributes that have no place in most formats: lines that PLY keeps as
     /// comments, and LAS reads.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// How large intensities may be, as far as the file says so.
+    /// Least and largest intensity that the file declares, if it does.
     fn intensity_limits(&self) -> Option<[f64; 2]> {
         None
     }
 
-    /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another
-    /// format than its own loses.
+    /// Content of the file that no other method of this trait returns, each in a few words, as "3 comments":
+    /// a loss where the model is written in another format.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -761,8 +764,8 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// Attributes with whole numbers that doubles do not tell apart, each in a few words, as of
-    /// [`besides`](Self::besides), where it takes a look at all vertices to find them.
+    /// Attributes with whole numbers that double precision does not tell apart, each in a few words, as of
+    /// [`besides`](Self::besides), where finding them takes a reading of all vertices.
     ///
     /// # Errors
     /// The file cannot be read; the user cancelled.
@@ -770,12 +773,12 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// The model as whatever it is, for conversions that keep more than is given here.
+    /// The model as its own type, for conversions that keep more than this trait gives.
     fn as_any(&self) -> Option<&dyn Any> {
         None
     }
 
-    /// Bytes of what is [written](Self::rewrite), about.
+    /// Size in bytes of the file that is [written](Self::rewrite), about.
     fn written_bytes(&self) -> u64 {
         self.info().bytes
     }
@@ -786,7 +789,7 @@ pub trait Model: Send + Sync {
         self.info().bytes
     }
 
-    /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
+    /// Columns of a text as the user named them, as "x,y,z": the file has to be opened so again.
     fn columns(&self) -> Option<&str> {
         None
     }
@@ -797,23 +800,23 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
-    /// How many of the bytes that a reading of all vertices gives come before what is read at once with a
-    /// vertex, and how many before what begins with it or, of blocks, with the next one; at the end, all of
-    /// them.
+    /// Bytes of a reading of all vertices, counted in the order of the file: those that come before the
+    /// vertex' unit of reading, and those before the vertex itself or, in compressed blocks, before the first
+    /// block that begins at the vertex or behind it; at the end, all bytes.
     fn bytes_before(&self, vertex: u64) -> [u64; 2] {
         let info = self.info();
         let before = u128::from(info.vertex_bytes) * u128::from(vertex) / u128::from(info.vertices.max(1));
         [before as u64; 2]
     }
 
-    /// Is told that from now on all vertices are read several times for their positions and colours, or with
-    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they
-    /// may be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most;
-    /// if there is no room, they are not.
+    /// Prepares for several readings of all vertices for their positions and colours, or with `None` ends
+    /// that. Where finding these takes long, as in compressed blocks, they may be kept in a temporary file in
+    /// `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if the folder has no room, they are
+    /// not kept.
     fn keep_positions(&self, _folder: Option<&Path>) {}
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
-    /// vertex of a chunk that was read from this model. What the lists held is gone.
+    /// vertex of a chunk that was read from this model. Former contents of the lists are lost.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -850,9 +853,9 @@ pub trait Model: Send + Sync {
         Ok(Box::new(NoFaces))
     }
 
-    /// The byte of the file at which a face begins, or the last one ends, where reading can
-    /// [begin](Self::faces_at) at any of them: as they are triangles, and all of one length, if the size of
-    /// the file tells the truth. Who reads them sees whether each of so many bytes was one.
+    /// Byte of the file at which a face begins, or the last one ends, where reading can
+    /// [begin](Self::faces_at) at any face: as all faces are triangles of one length, if the size of the file
+    /// tells the truth. A reader of the faces finds out whether each of so many bytes was one.
     fn face_at(&self, _face: u64) -> Option<u64> {
         None
     }
@@ -878,18 +881,18 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
-    /// Whether what is rewritten has room for a vertex at a position, as far as can be said without knowing
-    /// which vertex it is: integers do not reach everywhere.
+    /// Whether the rewritten file has room for a vertex at a position, as far as that can be said without
+    /// knowing which vertex it is: integers do not reach everywhere.
     fn has_room_for(&self, p: DVec3) -> bool {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
     }
 
-    /// The box of all vertices as the file tells it, which may lie; none where it does not.
+    /// Box of all vertices as the file tells it, which may be wrong; none where the file tells none.
     fn told_bounds(&self) -> Option<Bounds> {
         None
     }
 
-    /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of
+    /// Makes room in the files that are rewritten from now on for vertices that go from the first place of
     /// each pair to the second, and for others that go further by `margin`: where integers do not reach, by
     /// another offset, or another range. Returns what was changed, if anything: all integers are written anew
     /// then.
@@ -903,13 +906,13 @@ pub trait Model: Send + Sync {
         ))
     }
 
-    /// What turns with the surface besides normals and tangents when it is rewritten, if it is known what
-    /// does: that is told by names, or by the properties of Gaussian splats.
+    /// Attributes that turn with the surface besides normals and tangents when the model is rewritten; none
+    /// where the format cannot tell. They are known by their names, or by the properties of Gaussian splats.
     fn following(&self) -> Option<&Following> {
         None
     }
 
-    /// Says what is to turn with the surface from now on.
+    /// Sets the attributes that turn with the surface from now on.
     ///
     /// # Errors
     /// What is declared is not there, or cannot be changed in the format; splats lack a property.
@@ -925,7 +928,7 @@ pub trait Model: Send + Sync {
         ))
     }
 
-    /// How its rewriting can be divided, where it can begin at any piece without going over those before it.
+    /// Division of the rewriting, where it can begin at any piece without going over those before it.
     fn division(&self, _normals: Normals) -> Option<Division> {
         None
     }
@@ -935,8 +938,8 @@ pub trait Model: Send + Sync {
     /// gradients. Every other byte is copied as it is.
     ///
     /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
-    /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A
-    /// vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
+    /// until it is changed. Pieces that are done, according to `how`, are reported to `edit`, but not edited.
+    /// A vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
     /// that `edit` left as it was.
     ///
     /// As many pieces are worked on as there are threads in the pool, each from reading to writing by one

@@ -13,17 +13,17 @@ use crate::progress::Silent;
 use crate::tiles::{TiledModel, names, written_names};
 use crate::{Error, Model, Progress, Result};
 
-/// A model as it is named.
+/// Name of a model: a file, or several tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ModelName {
-    /// One file, which need not be there.
+    /// Path of one file, which need not be there.
     File(PathBuf),
     /// Files that are one model together, in the order of their vertices.
     Tiles(Vec<PathBuf>),
 }
 
 impl ModelName {
-    /// What a path means: the files that it matches, if it is a [pattern](matching).
+    /// Returns the model that a path names: the files that it matches, if it is a [pattern](matching).
     ///
     /// # Errors
     /// As of [`matching`].
@@ -34,7 +34,8 @@ impl ModelName {
         })
     }
 
-    /// What a list of paths means: a single one, as that of a file or a pattern, and several as tiles.
+    /// Returns the model that a list of paths names: a single path, that of a file or a pattern; several
+    /// paths, tiles.
     ///
     /// # Errors
     /// As of [`matching`], or there is none.
@@ -63,7 +64,7 @@ impl ModelName {
         }
     }
 
-    /// What each tile is called in a folder of all of them; none if it is a single file.
+    /// Names of the tiles' files in a folder of all of them; none if the model is a single file.
     pub fn tiles(&self) -> Vec<PathBuf> {
         match self {
             Self::File(_) => Vec::new(),
@@ -71,7 +72,7 @@ impl ModelName {
         }
     }
 
-    /// What each tile is called in a folder that all of them are written to; none if it is a single file.
+    /// Names of the tiles in a folder that all of them are written to; none if the model is a single file.
     pub fn written_tiles(&self) -> Vec<PathBuf> {
         match self {
             Self::File(_) => Vec::new(),
@@ -79,7 +80,7 @@ impl ModelName {
         }
     }
 
-    /// Opens it: see [`open_with`].
+    /// Opens the model: see [`open_with`].
     ///
     /// # Errors
     /// As of [`open_with`].
@@ -97,8 +98,8 @@ impl ModelName {
     }
 }
 
-/// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
-/// of its name does. Of a pattern, as `tiles/*.laz`, all files that it matches are one model.
+/// Opens a model, in the format that its content shows; where the content cannot tell, as of plain text, the
+/// extension of its name does. For a pattern, as `tiles/*.laz`, all files that match it are one model.
 ///
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says; a pattern
@@ -116,8 +117,8 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
     open_with(path, columns, &Arc::default(), &Silent)
 }
 
-/// Opens a model as [`open_with_columns`] does; what has to be made of it to read it from anywhere goes to a
-/// cache, whose size `progress` is told first.
+/// Opens a model as [`open_with_columns`] does; content that has to be made to read the model from anywhere
+/// goes to a cache, whose size `progress` gets first.
 ///
 /// # Errors
 /// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.
@@ -130,7 +131,8 @@ pub fn open_with(
     ModelName::from_path(path)?.open(columns, cache, progress)
 }
 
-/// Opens what was written of a model of the same format, at a path: a file, or a folder with its tiles.
+/// Opens a version that was written of a model of the same format, at a path: a file, or a folder with its
+/// tiles.
 ///
 /// # Errors
 /// As of [`open_with_columns`].

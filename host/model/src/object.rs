@@ -1,10 +1,10 @@
-//! Objects: models that are no files but are in a store behind a network, and named by a URL. What talks to
-//! stores is a crate of its own, which a program [installs](install) if it was built with it; here is what
-//! the rest needs of it.
+//! Objects: models that are no files but are in a store behind a network, and named by a URL. The code that
+//! talks to stores is a crate of its own, which a program [installs](install) if it was built with it; this
+//! module has the interface that the other crates need.
 //!
-//! What may be secret in a URL, as the signature of one that was signed beforehand, never is part of a path:
-//! it is [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So
-//! neither messages nor files can have it.
+//! Secrets in a URL, as the signature of one that was signed beforehand, never are part of a path: they are
+//! [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So neither
+//! messages nor files can have them.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
@@ -14,10 +14,10 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::{Error, Result};
 
-/// What URLs of objects begin with.
+/// Schemes of the URLs of objects.
 const SCHEMES: [&str; 7] = ["s3", "gs", "az", "abfs", "abfss", "https", "http"];
 
-/// What opens objects, for all threads.
+/// Store that opens objects and begins uploads, for all threads.
 pub trait Store: Send + Sync {
     /// Opens the object of a URL to read it; `None` where there is none.
     ///
@@ -25,7 +25,7 @@ pub trait Store: Send + Sync {
     /// The store cannot be reached, or refuses.
     fn open(&self, url: &str) -> Result<Option<Arc<dyn Object>>>;
 
-    /// Begins an object in parts, of which nothing is to be seen until it is [complete](Upload::complete).
+    /// Begins an object in parts, which cannot be seen until it is [complete](Upload::complete).
     ///
     /// # Errors
     /// As of [`open`](Self::open); the store takes no parts.
@@ -43,10 +43,10 @@ pub trait Object: Debug + Send + Sync {
     /// The object's length in bytes.
     fn bytes(&self) -> u64;
 
-    /// What tells it from what may have its name later.
+    /// Version of the object, which differs from that of another object that has its name later.
     fn version(&self) -> &str;
 
-    /// Fills a buffer from the byte `offset` on; all of it lies in the object.
+    /// Fills a buffer from the byte `offset` on; the whole range has to lie in the object.
     ///
     /// # Errors
     /// The store cannot be reached, or another version has the name by now.
@@ -55,7 +55,7 @@ pub trait Object: Debug + Send + Sync {
 
 /// An object in the making.
 pub trait Upload: Send {
-    /// What others go on with it by.
+    /// Name of the upload in the store, by which another process can go on with it.
     fn id(&self) -> &str;
 
     /// Sends a part, while the caller goes on; waits first where too many bytes are on their way. All parts
@@ -73,23 +73,24 @@ pub trait Upload: Send {
     /// One did not arrive.
     fn sent(&mut self) -> Result<BTreeMap<usize, String>>;
 
-    /// Puts the object in its place, of parts with these tags, from number 0 on, which have so many bytes.
+    /// Puts the object in its place, of parts with these tags, from number 0 on, which have so many bytes
+    /// together.
     ///
     /// # Errors
     /// The store cannot be reached, has other parts, or knows no such upload (any more).
     fn complete(&mut self, tags: Vec<String>, bytes: u64) -> Result<()>;
 
-    /// Leaves nothing of it. This takes some seconds at most.
+    /// Removes the upload and all its parts. This takes some seconds at most.
     ///
     /// # Errors
     /// The store cannot be reached.
     fn abort(&mut self) -> Result<()>;
 }
 
-/// What opens objects in this process.
+/// Store that opens objects in this process.
 static STORE: OnceLock<Box<dyn Store>> = OnceLock::new();
 
-/// Says what opens objects, once, before any is opened.
+/// Installs the store that opens objects, once, before any object is opened.
 pub fn install(store: Box<dyn Store>) {
     let _ = STORE.set(store);
 }
@@ -103,11 +104,11 @@ fn is_url(text: &str) -> bool {
     text.split_once("://").is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
 }
 
-/// The whole URLs of objects, with what may be secret in them, by what they are called.
+/// Whole URLs of objects, with their secrets, by the names without secrets.
 static WHOLE: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
 
-/// The name of an object: its URL without user, password and query, which this process remembers. What is no
-/// URL stays as it is.
+/// Name of an object: its URL without user, password and query, which this process remembers. A name that is
+/// no URL stays as it is.
 pub fn admit(name: impl AsRef<OsStr>) -> OsString {
     let name = name.as_ref();
     let Some(url) = name.to_str().filter(|text| is_url(text)) else { return name.to_owned() };
@@ -122,7 +123,7 @@ fn without_secrets(url: &str) -> String {
     let url = url.split(['?', '#']).next().unwrap_or(url);
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     let (host, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
-    // In Azure's URLs, what stands before the host is the container.
+    // The text before the host in Azure's URLs is the container.
     let host = if scheme.starts_with("http") { host.rsplit('@').next().unwrap_or(host) } else { host };
     format!("{scheme}://{host}{path}")
 }
@@ -133,7 +134,7 @@ fn whole(path: &Path) -> String {
     WHOLE.lock().unwrap_or_else(PoisonError::into_inner).get(&plain).cloned().unwrap_or(plain)
 }
 
-/// The store, with the URL that it is asked for.
+/// Store, and the whole URL of the path.
 fn store(action: &str, path: &Path) -> Result<(&'static dyn Store, String)> {
     let store = STORE.get().ok_or_else(|| {
         Error::argument(
@@ -185,7 +186,8 @@ pub fn begin(path: &Path) -> Result<BegunUpload> {
     Ok(BegunUpload { upload, path: path.to_owned(), keeps: false })
 }
 
-/// Goes on with an object that was begun: see [`Store::go_on`]. Dropped, it stays what it is.
+/// Goes on with an object that was begun: see [`Store::go_on`]. When the returned upload is dropped, the
+/// object stays as it is.
 ///
 /// # Errors
 /// As of [`begin`].
@@ -200,7 +202,7 @@ impl BegunUpload {
         &mut *self.upload
     }
 
-    /// Leaves it to others; what they go on with it by.
+    /// Leaves the upload to other processes; returns the id by which they go on with it.
     pub fn leave(mut self) -> String {
         self.forget();
         self.upload.id().to_owned()
@@ -216,7 +218,7 @@ impl BegunUpload {
         Ok(())
     }
 
-    /// From now on it is nobody's here.
+    /// Takes the upload off the list of those that this process removes.
     fn forget(&mut self) {
         self.keeps = true;
         begun().retain(|(path, id)| (path, &**id) != (&self.path, self.upload.id()));
@@ -226,21 +228,21 @@ impl BegunUpload {
 impl Drop for BegunUpload {
     fn drop(&mut self) {
         if !self.keeps {
-            // Where the store cannot be reached, nothing can be done about what it has.
+            // Parts in a store that cannot be reached stay there: nothing can be done about them.
             let _ = self.upload.abort();
             self.forget();
         }
     }
 }
 
-/// What this process has begun and nobody would go on with: objects, and the ids of their uploads.
+/// Uploads that this process has begun and nobody would go on with: objects, and the ids of their uploads.
 static BEGUN: Mutex<Vec<(PathBuf, String)>> = Mutex::new(Vec::new());
 
 fn begun() -> MutexGuard<'static, Vec<(PathBuf, String)>> {
     BEGUN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Leaves nothing of what this process has begun, as it ends at once.
+/// Removes all uploads that this process has begun, as the process ends at once.
 pub(crate) fn abandon_all() {
     let all = std::mem::take(&mut *begun());
     for (path, id) in all {

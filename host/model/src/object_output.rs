@@ -11,7 +11,7 @@ use crate::{Error, Output, Result, Summary};
 /// Bytes of a part at least: stores take 5 MiB and more.
 const LEAST: u64 = 8 << 20;
 
-/// Most parts: stores take 10 000, and what a file will have is known about.
+/// Most parts: stores take 10 000, and the size of a file is known only about.
 const MOST: u64 = 9000;
 
 /// Bytes of each part, but for the last one, of an object of so many bytes.
@@ -21,16 +21,16 @@ pub fn part_bytes(bytes: u64) -> u64 {
 
 /// An object in the making. Dropped before [`commit`](Self::commit), it leaves no trace.
 ///
-/// Memory: three parts, and what is on its way: see [`Upload::send`](object::Upload::send). A part has 8 MiB,
+/// Memory: three parts, and those on their way: see [`Upload::send`](object::Upload::send). A part has 8 MiB,
 /// or a 9000th of an object of more than 70 GB.
 pub struct ObjectOutput {
     path: PathBuf,
     begun: BegunUpload,
     part_bytes: u64,
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     at: u64,
-    /// The parts that are not sent yet, by their numbers: the first one, where files say what comes later;
-    /// the one that is being filled; and the one before it, as some say so at their end.
+    /// Parts that are not sent yet, by their numbers: the first one, where files say what comes later; the
+    /// one that is being filled; and the one before it, as some formats say so at their end.
     held: BTreeMap<usize, Vec<u8>>,
     /// The tags of parts that others have sent.
     tags: BTreeMap<usize, String>,
@@ -45,8 +45,8 @@ impl ObjectOutput {
         Ok(Self::with_parts(path, object::begin(path)?, part_bytes(bytes)))
     }
 
-    /// Goes on with an upload that was begun for others as well, who send ranges of it. Dropped, it leaves
-    /// that as it is.
+    /// Goes on with an upload that was begun for other processes as well, which send ranges of it. When this
+    /// output is dropped, the upload stays as it is.
     ///
     /// # Errors
     /// The store takes no parts.
@@ -54,13 +54,13 @@ impl ObjectOutput {
         Ok(Self::with_parts(path, object::go_on(path, id)?, part_bytes(bytes)))
     }
 
-    /// Goes on with an upload that was begun, in parts of so many bytes.
+    /// Output that goes on with an upload that was begun, in parts of so many bytes.
     pub fn with_parts(path: &Path, begun: BegunUpload, part_bytes: u64) -> Self {
         let (held, tags) = (BTreeMap::new(), BTreeMap::new());
         Self { path: path.to_owned(), begun, part_bytes, at: 0, held, tags }
     }
 
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     pub fn position(&self) -> u64 {
         self.at
     }
@@ -140,7 +140,7 @@ impl ObjectOutput {
         Ok(())
     }
 
-    /// Says that nothing more comes, and waits until all has arrived.
+    /// Ends the object, and waits until all parts have arrived.
     ///
     /// # Errors
     /// A part did not arrive.
@@ -152,7 +152,7 @@ impl ObjectOutput {
         Ok(())
     }
 
-    /// Puts the [completed](Self::complete) object in its place; its length.
+    /// Puts the [completed](Self::complete) object in its place; returns its length.
     ///
     /// # Errors
     /// The store refuses; what was there of that name stays.
@@ -166,7 +166,7 @@ impl ObjectOutput {
     }
 }
 
-/// Packed so that it passes through.
+/// Error packed so that it passes through [`io::Error`].
 fn packed(error: Error) -> io::Error {
     io::Error::other(error)
 }

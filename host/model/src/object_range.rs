@@ -1,6 +1,6 @@
 //! A range of an object that several processes write at the same time, each a range of its own. The object is
-//! divided into parts of one length. Those that lie wholly in a range are sent by its process; what a range
-//! has of others, at its two edges, is left to the one that puts all together.
+//! divided into parts of one length. Parts that lie wholly in a range are sent by its process; bytes of other
+//! parts, at the two edges of the range, are left to the process that puts all together.
 
 use std::path::Path;
 
@@ -9,26 +9,26 @@ use crate::object::{self, BegunUpload};
 
 /// A range in the making.
 ///
-/// Memory: two parts, and what is on its way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
+/// Memory: two parts, and those on their way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
 pub struct ObjectRange {
     begun: BegunUpload,
     part_bytes: u64,
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     at: u64,
-    /// What belongs to a part that begins before the range.
+    /// Bytes of the range that belong to a part that begins before the range.
     before: Vec<u8>,
     /// The part that is being filled.
     open: Vec<u8>,
 }
 
-/// What a range has become.
+/// Result of sending a range.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SentRange {
-    /// The range's first bytes, of a part that begins before it.
+    /// First bytes of the range, of a part that begins before the range.
     pub before: Vec<u8>,
     /// The tags of the parts that were sent, in a row.
     pub tags: Vec<String>,
-    /// The range's last bytes, of a part that ends behind it.
+    /// Last bytes of the range, of a part that ends behind the range.
     pub behind: Vec<u8>,
 }
 
@@ -42,7 +42,7 @@ impl ObjectRange {
         Ok(Self { begun, part_bytes, at: 0, before: Vec::new(), open: Vec::new() })
     }
 
-    /// Says, before anything is written, where the range begins.
+    /// Sets the byte of the object at which the range begins, before anything is written.
     pub fn begin_at(&mut self, at: u64) {
         self.at = at;
     }
@@ -55,7 +55,8 @@ impl ObjectRange {
         while !bytes.is_empty() {
             let room = self.part_bytes - self.at % self.part_bytes;
             let (now, later) = bytes.split_at(bytes.len().min(room as usize));
-            // Whether this part begins before the range: nothing of it was there when it began.
+            // Whether this part begins before the range: none of its bytes came yet, and the next one is not
+            // its first.
             let begins_before = self.open.is_empty() && !self.at.is_multiple_of(self.part_bytes);
             if begins_before {
                 self.before.extend_from_slice(now)

@@ -19,7 +19,7 @@ use crate::{Attribute, Error, FaceReader, Model, ModelInfo, Result, Type};
 /// Most numbers of a vertex: position, normal, colour and texture coordinates.
 const MOST_NUMBERS: usize = 12;
 
-/// What the letters before `OFF` say.
+/// Meaning of the letters before `OFF`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Letters {
     normals: bool,
@@ -82,7 +82,7 @@ pub(crate) fn is_off(start: &[u8]) -> bool {
     Letters::parse(first_word(without_mark(start))).is_some()
 }
 
-/// Whether a file of that extension, which need not say so, begins as OFF.
+/// Whether a file of the extension `off`, which need not say that it is OFF, begins as one.
 pub(crate) fn is_head(source: &SourceFile) -> bool {
     OffHead::read(source).is_ok()
 }
@@ -91,7 +91,7 @@ fn has_content(line: &[u8]) -> bool {
     line.iter().find(|b| !is_space(**b)).is_some_and(|b| *b != b'#')
 }
 
-/// The counts of vertices and faces, and where the first line behind them begins.
+/// Counts of vertices and faces, and the byte at which the first line behind the counts begins.
 struct OffHead {
     letters: Letters,
     vertices: u64,
@@ -157,8 +157,8 @@ impl OffHead {
     }
 }
 
-/// Where the line of the number of edges ends, if the next line with content is one: a vertex has more than
-/// one number.
+/// Byte at which the line of the number of edges ends, if the next line with content is one: a vertex has
+/// more than one number.
 fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
     while let Some((at, line)) = lines.next()? {
         let mut words = words(line);
@@ -169,7 +169,7 @@ fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
     Ok(None)
 }
 
-/// How many numbers the line of a vertex has.
+/// Count of the numbers in the line of a vertex.
 fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize> {
     let numbers = words(line).count();
     if numbers > MOST_NUMBERS {
@@ -179,13 +179,13 @@ fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize>
     Ok(numbers)
 }
 
-/// The faces of a file, as far as it was gone over.
+/// Counts of the faces of a file, as far as the file was read.
 #[derive(Default)]
 struct OffFaces {
     count: u64,
     /// The bytes from the first one's line to the end of the last one's.
     lines: Range<u64>,
-    /// Whether any of them has a colour.
+    /// Whether any face has a colour.
     are_painted: bool,
 }
 
@@ -252,7 +252,8 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }
 
-/// What so many numbers behind a vertex' position and normal are. Programs add colours without saying so.
+/// Names of the numbers behind a vertex' position and normal, by their count. Programs add colours without
+/// saying so.
 fn attributes(count: usize, texture: bool) -> Vec<&'static str> {
     let coordinates: &[&str] = if texture && count >= 2 { &["s", "t"] } else { &[] };
     let colours: &[&str] = match count - coordinates.len() {
@@ -263,7 +264,8 @@ fn attributes(count: usize, texture: bool) -> Vec<&'static str> {
     if colours.len() + coordinates.len() == count { [colours, coordinates].concat() } else { Vec::new() }
 }
 
-/// Whether all colours are bytes: whole numbers up to 255, which are no fractions unless none is more than 1.
+/// Check whether all colours are bytes: whole numbers up to 255, which are no fractions unless none is more
+/// than 1.
 struct ColourBytes {
     /// Numbers of a vertex behind its colours, and how many these are; none once one is no byte.
     behind: usize,
@@ -272,7 +274,7 @@ struct ColourBytes {
 }
 
 impl ColourBytes {
-    /// The colours among some attributes, with so many numbers of the normal behind them.
+    /// Check of the colours among some attributes, with so many numbers of the normal behind them.
     fn of(attributes: &[&str], normal: usize) -> Self {
         let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
         Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }

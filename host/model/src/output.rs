@@ -1,10 +1,10 @@
 //! Files that appear whole or not at all.
 //!
-//! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
+//! All that the program writes goes to a hidden file beside the target first, which takes the target's name
 //! only when it is complete and on the disk; caches, which know whether they are damaged and are made anew,
-//! when they are complete. Killed at any moment, the program leaves the old file or the new
-//! one (and perhaps the hidden one, `.simod-NAME.part`, which the next call to the same target removes:
-//! `claim`). Models, which take long, are written in parts (`resumable`).
+//! when they are complete. Killed at any moment, the program leaves the old file or the new one (and perhaps
+//! the hidden one, `.simod-NAME.part`, which the next call to the same target removes: `claim`). Models,
+//! which take long, are written in parts (`resumable`).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -26,8 +26,8 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Begins the file `path`, which will be of about `expected_bytes`. A link is followed: what it points to
-    /// is replaced.
+    /// Begins the file `path`, which will be of about `expected_bytes`. A link is followed: the file that it
+    /// points to is replaced.
     ///
     /// # Errors
     /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
@@ -54,8 +54,8 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
-    /// Puts the file in its place without waiting for the disk: of what is made again where it is damaged, as
-    /// a power failure may leave it.
+    /// Puts the file in its place without waiting for the disk: for a file that is made again where it is
+    /// damaged, as a power failure may leave it.
     ///
     /// # Errors
     /// As of [`commit`](Self::commit), as far as the operating system tells by now.
@@ -78,7 +78,7 @@ impl OutputFile {
         self.claim.part().try_clone().map_err(|e| self.claim.failed(&e))
     }
 
-    /// As what a model can be written to, whose bytes may be replaced in the end.
+    /// The file as an output of a model, whose bytes may be replaced in the end.
     pub fn replaceable(&mut self) -> Replaceable<'_> {
         Replaceable(self)
     }
@@ -157,8 +157,8 @@ pub(crate) fn available_space(folder: &Path) -> Option<u64> {
     Some(stats.available_space())
 }
 
-/// Exchanges two folders at once, where the system can: at any moment each name has one of both. `false`
-/// where it cannot, and nothing is changed.
+/// Exchanges two folders in one step, where the system can: at any moment each name has one of both. `false`
+/// where the system cannot, and nothing is changed.
 pub(crate) fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     #[cfg(target_os = "linux")]
     {
@@ -180,7 +180,8 @@ pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
         return Ok(());
     }
     match File::open(folder).and_then(|f| f.sync_all()) {
-        // Some file systems know no such thing, and a folder that may be written need not be readable.
+        // Some file systems cannot synchronise folders, and a folder that may be written need not be
+        // readable.
         Err(e)
             if matches!(
                 e.kind(),

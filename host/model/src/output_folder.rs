@@ -10,8 +10,8 @@ use crate::target::folder_of;
 use crate::{Error, Result};
 
 /// A folder in the making: a hidden one beside its place, which takes its name when it is complete. Dropped
-/// before [`commit`](Self::commit), it leaves no trace. As long as it is there, nobody else writes a folder
-/// of this name.
+/// before [`commit`](Self::commit), it leaves no trace. As long as it is there, no other process writes a
+/// folder of this name.
 #[derive(Debug)]
 pub struct OutputFolder {
     claim: Claim,
@@ -27,7 +27,8 @@ impl OutputFolder {
         Self::create_or_go_on(target, false)
     }
 
-    /// Begins the folder `target`; with `resume`, what an earlier call [kept](Self::keep) of it is there.
+    /// Begins the folder `target`; with `resume`, the files that an earlier call [kept](Self::keep) are
+    /// there.
     ///
     /// # Errors
     /// As of [`create`](Self::create).
@@ -40,24 +41,24 @@ impl OutputFolder {
         #[cfg(unix)]
         {
             use std::os::unix::fs::DirBuilderExt;
-            // Nobody sees what will not be seen in the end.
+            // Files in the making can be seen only by those who may see the finished ones.
             builder.mode(if target.exists() { 0o700 } else { 0o777 });
         }
         builder.create(claim.new_folder()).map_err(|e| claim.failed(&e))?;
         Ok(Self { claim, target: target.to_owned() })
     }
 
-    /// Leaves what is there to a later call that goes on with it.
+    /// Leaves the folder in the making to a later call that goes on with it.
     pub(crate) fn keep(mut self) {
         self.claim.keep();
     }
 
-    /// Where the files of a folder are written as long as it is in the making.
+    /// Path of the hidden folder in which the files of `target` are written as long as it is in the making.
     pub(crate) fn in_the_making(target: &Path) -> PathBuf {
         crate::claim::new_folder_of(target)
     }
 
-    /// Where its files are written for now.
+    /// Path at which the folder's files are written for now.
     pub fn path(&self) -> &Path {
         self.claim.new_folder()
     }
@@ -67,14 +68,14 @@ impl OutputFolder {
         &self.target
     }
 
-    /// An error of a file in it, told of the folder that was asked for and not of its temporary name.
+    /// Error of a file in the folder, told of the folder that was asked for and not of its temporary name.
     pub fn named(&self, e: Error) -> Error {
         let told = |text: &str| text.replace(&*self.path().to_string_lossy(), &self.target.to_string_lossy());
         let (what, hint) = (told(&e.to_string()), told(e.hint()));
         e.saying(what).hinting(hint)
     }
 
-    /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder,
+    /// Puts the folder in its place. A former folder goes away, in one step where the system can; the folder,
     /// and its files that replace others, have the permissions and the owners of those.
     ///
     /// # Errors
@@ -115,7 +116,7 @@ impl OutputFolder {
         #[cfg(unix)]
         take_permissions(&File::open(new)?, target)?;
         if exchange(new, target)? {
-            // What was there is under the temporary name now; what cannot be removed of it hurts nobody.
+            // The former folder has the temporary name now; files that cannot be removed there hurt nobody.
             let _ = remove(new);
             return sync_folder(parent);
         }

@@ -1,6 +1,6 @@
 //! Rewriting a file on as many threads as the pool has: each takes the next piece of the file, decodes, edits
-//! and encodes it, and whoever has the piece that comes next in the file writes it and those that wait behind
-//! it. Only taking a piece and writing one are serial.
+//! and encodes it, and the thread that has the next piece of the file writes this piece and those that wait
+//! behind it. Only taking a piece and writing one are serial.
 //!
 //! A thread does not take another piece while too many are between reading and writing, so that what waits
 //! has a bound. Where something fails, no further piece is taken, and those before it are still written:
@@ -25,7 +25,7 @@ const WAITING: usize = 2;
 
 /// The trait of a format's files that are rewritten.
 pub(crate) trait Rewritable: Sync {
-    /// Goes over the whole file, once, from its beginning.
+    /// Reader of the pieces of the whole file, once, from its beginning.
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>>;
 
     /// Fills the positions and normals of a chunk whose bytes were read.
@@ -34,8 +34,8 @@ pub(crate) trait Rewritable: Sync {
     /// Makes the bytes of the file for a version of a chunk.
     fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()>;
 
-    /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
-    /// `is_still` says that nothing changes in this version.
+    /// Bytes of a [piece](Piece::Made) that follows from the new version of all pieces before it. `is_still`
+    /// says that nothing changes in this version.
     fn make(&self, _before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         Ok(Vec::new())
     }
@@ -45,7 +45,7 @@ pub(crate) trait Rewritable: Sync {
         None
     }
 
-    /// What has to be replaced in the new file once all pieces are there: places, and their bytes.
+    /// Replacements in the new file once all pieces are there: places, and their bytes.
     fn patches(&self, _all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         Ok(Vec::new())
     }
@@ -60,9 +60,9 @@ pub(crate) struct PieceVersion<'a> {
     pub(crate) normals: Normals,
     /// No further version is made of the chunk.
     pub(crate) is_last: bool,
-    /// The bytes, once they are made; whatever they were before.
+    /// Bytes of the version, once they are made; whatever they were before.
     pub(crate) bytes: &'a mut Vec<u8>,
-    /// What other places of the file have to know of it; empty before.
+    /// Summary of the piece for other places of the file; empty before.
     pub(crate) summary: &'a mut Summary,
 }
 
@@ -83,8 +83,8 @@ pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
-    /// Reads those of up to `most` pieces with vertices, as one, and tells how many they are; or of another
-    /// piece.
+    /// Reads up to `most` pieces with vertices as one, or a single other piece; returns the number of pieces
+    /// as well.
     fn read_several(&mut self, chunk: &mut VertexChunk, _most: u64) -> Result<(Piece, u64)> {
         Ok((self.read(chunk)?, 1))
     }
@@ -98,13 +98,13 @@ pub(crate) trait Pieces: Send {
 
 /// The pieces that were passed over.
 pub(crate) struct Skipped {
-    /// Where they end in the file.
+    /// Byte of the file at which the pieces end.
     pub(crate) bytes: u64,
-    /// How many bytes of these are of vertices.
+    /// Number of bytes of the pieces that are of vertices.
     pub(crate) vertex_bytes: u64,
 }
 
-/// What a piece of a file is.
+/// Kind of a piece of a file.
 pub(crate) enum Piece {
     /// So many vertices, which are not decoded.
     Vertices(usize),
@@ -114,7 +114,7 @@ pub(crate) enum Piece {
     Bytes,
     /// Bytes in whose place others are [made](Rewritable::make).
     Made,
-    /// Nothing: the file was read whole.
+    /// No piece: the file was read whole.
     End,
 }
 
@@ -230,14 +230,14 @@ struct PieceReading<'a> {
     is_over: bool,
 }
 
-/// What waits to be written.
+/// Pieces that wait to be written, and the state that the threads share.
 #[derive(Default)]
 struct Queue<'a, 'o> {
-    /// Where it goes: not there while a thread writes.
+    /// Writer to the outputs: taken away while a thread writes.
     writing: Option<PieceWriting<'a, 'o>>,
     /// The pieces that are ready, by their numbers.
     ready: BTreeMap<u64, Ready>,
-    /// Number of pieces that were taken, and of those that are written.
+    /// Number of pieces that were taken, and (`written`) of those that are written.
     taken: u64,
     written: u64,
     /// Nothing more is to be read.
@@ -248,7 +248,7 @@ struct Queue<'a, 'o> {
     spare: Vec<Vec<u8>>,
 }
 
-/// The outputs, and what is known of the pieces that each has.
+/// Outputs, and the summaries of the pieces that each has.
 struct PieceWriting<'a, 'o> {
     outputs: &'a mut [&'o mut dyn Output],
     summaries: Vec<Summary>,
@@ -263,21 +263,21 @@ impl<'a, 'o> PieceWriting<'a, 'o> {
 /// A piece as it goes to the outputs.
 #[derive(Default)]
 struct Ready {
-    /// For how many pieces it stands.
+    /// Number of pieces that this one stands for.
     pieces: u64,
-    /// The first of its vertices, if they were edited.
+    /// First vertex of the piece, if its vertices were edited.
     edited: Option<u64>,
-    /// Bytes that it took in the file.
+    /// Bytes of the file that the piece took.
     source_bytes: u64,
     /// The bytes for each output; one for all of them if there are no vertices, and none if they have it.
     versions: Vec<Vec<u8>>,
     /// The summary of each version of vertices.
     summaries: Vec<Summary>,
-    /// The bytes are made when it is written.
+    /// The bytes are made when the piece is written.
     is_made: bool,
 }
 
-/// What a thread works with.
+/// Buffers that a thread works with.
 #[derive(Default)]
 struct PieceWorkspace {
     chunk: VertexChunk,
@@ -328,7 +328,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
             reading.is_over = true;
             return (number, 1, Ok(Piece::End));
         }
-        // Those that are done already, and those that are not of this part, are not read with others.
+        // Pieces that are done already, and those of other parts, are not read together with others.
         let until = [Some(self.how.pieces_done).filter(|done| *done > number), end];
         let most = until.into_iter().flatten().map(|until| until - number).min().unwrap_or(u64::MAX);
         let most = self.how.pieces_at_once.clamp(1, most.max(1));
@@ -353,7 +353,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         (number, pieces, piece)
     }
 
-    /// What a piece becomes; nothing at the end of the file.
+    /// Processes a piece; returns nothing at the end of the file.
     fn process(&self, number: u64, piece: &Piece, bench: &mut PieceWorkspace) -> Result<Option<Ready>> {
         let PieceWorkspace { chunk, edited } = bench;
         let mut ready = Ready { source_bytes: chunk.source_bytes(), ..Ready::default() };
@@ -394,7 +394,8 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         Ok(Some(ready))
     }
 
-    /// Appends to the versions of a chunk what becomes of the vertices [beside](VertexChunk::beside) it.
+    /// Appends to the versions of a chunk the new positions and normals of the vertices
+    /// [beside](VertexChunk::beside) it.
     fn edit_beside(&self, chunk: &VertexChunk, edited: &mut [Edited]) -> Result<()> {
         let (beside, mut first) = (&chunk.beside, 0);
         let (mut group, mut versions) =
@@ -443,7 +444,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
     }
 
     fn write(&self, writing: &mut PieceWriting<'_, '_>, ready: &Ready) -> Result<()> {
-        // Here too: what is in flight need not be written any more.
+        // Cancellation is checked here too: pieces that wait need not be written any more.
         self.progress.check()?;
         if let Some(first) = ready.edited {
             self.edit.end(first)?;
@@ -452,7 +453,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         for (version, (output, before)) in outputs.iter_mut().zip(summaries).enumerate() {
             let made = || self.file.make(before, self.edit.is_still(version));
             let made = if ready.is_made { Some(made()?) } else { None };
-            // Of bytes that are copied, there is one version.
+            // Bytes that are copied are the same in all versions.
             let copied = ready.versions.get(version).or(ready.versions.first());
             let Some(bytes) = made.as_ref().or(copied) else { break };
             let none = Summary::default();
@@ -483,13 +484,13 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
 }
 
 impl Queue<'_, '_> {
-    /// Whether a piece comes before all that failed.
+    /// Whether a piece comes before all pieces that failed.
     fn is_wanted(&self, number: u64) -> bool {
         self.failed.as_ref().is_none_or(|(first, _)| number < *first)
     }
 }
 
-/// Stops the others when its thread panics.
+/// Guard of a thread, which stops the other threads when its thread panics.
 struct PanicGuard<'w, 'a, 'o>(&'w RewriteCall<'a, 'o>);
 
 impl Drop for PanicGuard<'_, '_, '_> {
@@ -517,7 +518,7 @@ fn failed_write(file: &dyn Rewritable, error: io::Error) -> Error {
 }
 
 impl Edited {
-    /// Makes it what the chunk is.
+    /// Makes the version equal to the chunk.
     fn reset(&mut self, chunk: &VertexChunk, normals: Normals) {
         self.positions.clear();
         self.positions.extend_from_slice(&chunk.positions);
@@ -530,7 +531,7 @@ impl Edited {
         self.mirrored = false;
     }
 
-    /// How many gradients are asked for.
+    /// Number of gradients that the edit has to fill in.
     fn gradients_of(chunk: &VertexChunk, normals: Normals) -> usize {
         if chunk.follows {
             chunk.len()
@@ -541,7 +542,7 @@ impl Edited {
         }
     }
 
-    /// An error where it does not have as many vertices as the chunk.
+    /// Error where the version does not have as many vertices as the chunk.
     fn check(&self, chunk: &VertexChunk, normals: Normals) -> Result<()> {
         let expected = |count: usize| if normals == Normals::Transform { count } else { 0 };
         let directions = (expected(chunk.normals.len()), Self::gradients_of(chunk, normals));

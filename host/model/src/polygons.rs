@@ -5,7 +5,7 @@ use crate::FaceChunk;
 /// Most corners of a polygon that is held: larger ones stay fans of triangles.
 pub(crate) const MOST_CORNERS: usize = 1 << 16;
 
-/// Whether there are vertices for all corners.
+/// Whether all corners are indices of vertices.
 fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
     triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
 }
@@ -14,7 +14,7 @@ fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
 #[derive(Debug, Default)]
 pub(crate) struct Polygons {
     corners: Vec<u32>,
-    /// Where in the list each one's corners end.
+    /// Index in `corners` at which the corners of each polygon end.
     ends: Vec<usize>,
 }
 
@@ -62,13 +62,14 @@ pub(crate) struct PolygonJoin {
     pub(crate) counted: PolygonCounts,
 }
 
-/// What a [`PolygonJoin`] has met.
+/// Counts of the triangles and faces that a [`PolygonJoin`] was given.
 #[derive(Debug, Default, Clone, Copy)]
 pub(crate) struct PolygonCounts {
     /// Triangles of vertices that there are, and others.
     pub(crate) triangles: u64,
     pub(crate) without_vertex: u64,
-    /// Faces that have any triangles; how many had too many corners; the most corners that one has.
+    /// Faces that have any triangles; (`long`) faces that had too many corners; (`largest`) most corners of a
+    /// face.
     pub(crate) faces: u64,
     pub(crate) long: u64,
     pub(crate) largest: usize,
@@ -192,7 +193,7 @@ mod tests {
             prop_assert_eq!(counted.faces, wide.len() as u64);
             prop_assert_eq!(counted.largest, wide.iter().map(Vec::len).max().unwrap_or(0));
 
-            // Where some corners are no vertices, what is left of a face is some of its triangles.
+            // Faces with corners that are no vertices leave some of their triangles.
             let fan = |corners: &Vec<u32>| -> Vec<Vec<u32>> {
                 corners[1..].windows(2).map(|pair| vec![corners[0], pair[0], pair[1]]).collect()
             };

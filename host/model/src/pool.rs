@@ -46,7 +46,7 @@ pub(crate) struct Pooled {
     stamp: FileStamp,
 }
 
-/// The stamp of a file, which tells that it is the one that it was.
+/// Stamp of a file, by which a change of the file is noticed.
 #[derive(Debug, PartialEq, Eq)]
 struct FileStamp(Option<Identity>, u64, Option<SystemTime>);
 

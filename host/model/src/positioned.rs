@@ -3,7 +3,7 @@
 use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Result};
 
-/// Reads and writes at a place, by the operating system where it has such calls.
+/// File that is read and written at a place, by the operating system where it has such calls.
 #[cfg(unix)]
 #[derive(Debug)]
 pub(crate) struct Positioned(File);
@@ -14,7 +14,7 @@ impl Positioned {
         Self(file)
     }
 
-    /// Reads what comes, which may be less than the buffer takes.
+    /// Reads some bytes, which may be fewer than the buffer takes.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         std::os::unix::fs::FileExt::read_at(&self.0, buffer, offset)
     }
@@ -46,7 +46,7 @@ impl Positioned {
         Ok(file)
     }
 
-    /// Reads what comes, which may be less than the buffer takes.
+    /// Reads some bytes, which may be fewer than the buffer takes.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         std::io::Read::read(&mut *self.lock_at(offset)?, buffer)
     }

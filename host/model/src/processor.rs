@@ -1,7 +1,7 @@
 //! The processor's time that this process takes.
 
-/// Seconds of all threads so far, in programs and in the system, with those of the processes that it started
-/// and that have ended; nothing where the system does not tell.
+/// Processor time in seconds of all threads so far, in programs and in the system, with that of the processes
+/// that this one started and that have ended; none where the system does not tell.
 #[cfg(target_os = "linux")]
 pub fn seconds() -> Option<f64> {
     /// Ticks of what programs are told, of any Linux.
@@ -13,7 +13,7 @@ pub fn seconds() -> Option<f64> {
     Some(words.sum::<Option<f64>>()? / TICKS)
 }
 
-/// Nothing: these systems are not asked.
+/// Returns `None`: these systems are not asked.
 #[cfg(not(target_os = "linux"))]
 pub fn seconds() -> Option<f64> {
     None

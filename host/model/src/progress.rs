@@ -1,4 +1,4 @@
-//! How long work tells where it is, and learns that it shall stop.
+//! Progress of long work: how it reports where it is, and learns that it shall stop.
 
 use glam::{DVec3, Vec3};
 
@@ -8,7 +8,7 @@ use crate::{Error, Result};
 
 /// Samples of one cell of a model that is being sampled: see [`Progress::emerge`].
 pub struct Emerging<'a> {
-    /// Whether it is the first one: what came before, if anything, is found anew.
+    /// Whether these are the first samples of a run: those of a run before, if any, are found anew.
     pub first: bool,
     /// The box of the whole model.
     pub bounds: &'a Bounds,
@@ -21,12 +21,12 @@ pub struct Emerging<'a> {
 pub type Visitor<'a> = &'a mut dyn FnMut(Vec3, Vec3);
 
 impl<'a> Emerging<'a> {
-    /// Samples that `visit` goes over, of a model of these bounds and local coordinates.
+    /// Samples that `visit` visits, of a model of these bounds and local coordinates.
     pub fn new(first: bool, bounds: &'a Bounds, frame: &'a Frame, visit: &'a dyn Fn(Visitor<'_>)) -> Self {
         Self { first, bounds, frame, visit }
     }
 
-    /// Each sample's position, local, and its unit normal, zero where it is unknown.
+    /// Visits each sample's position, in local coordinates, and its unit normal, zero where it is unknown.
     pub fn for_each(&self, mut visit: impl FnMut(Vec3, Vec3)) {
         (self.visit)(&mut visit);
     }
@@ -43,13 +43,12 @@ pub struct Glimpse<'a> {
 type ReadVertex<'a> = &'a mut dyn FnMut(u64) -> Result<Option<(DVec3, Vec3)>>;
 
 impl<'a> Glimpse<'a> {
-    /// So many vertices, which `read` reads.
+    /// Model of so many vertices, which `read` reads.
     pub fn new(vertices: u64, read: ReadVertex<'a>) -> Self {
         Self { vertices, read }
     }
 
-    /// The vertex of a number: its position in the model's coordinates, and its normal, zero where it has
-    /// none.
+    /// Vertex of a number: its position in the model's coordinates, and its normal, zero where it has none.
     ///
     /// # Errors
     /// The vertex cannot be read.
@@ -58,7 +57,7 @@ impl<'a> Glimpse<'a> {
     }
 }
 
-/// The other end of a long operation: a progress bar, a window, or nobody.
+/// Receiver of the progress of a long operation, as a progress bar or a window.
 ///
 /// Called from any thread, and often: implementations keep it cheap.
 pub trait Progress: Sync {
@@ -70,12 +69,12 @@ pub trait Progress: Sync {
         self.begin(stage, total_bytes);
     }
 
-    /// A stage begins that is not of bytes, but of parts of whatever kind.
+    /// Begins a stage whose size is not in bytes, but in parts of any kind.
     fn begin_parts(&self, stage: &'static str, total: u64) {
         self.begin(stage, total);
     }
 
-    /// So many more bytes, or parts, of the stage are done.
+    /// Adds so many bytes, or parts, to those of the stage that are done.
     fn advance(&self, bytes: u64);
 
     /// Whether the user asked to stop. Work looks at it at least every 100 ms.
@@ -98,7 +97,7 @@ pub trait Progress: Sync {
     }
 }
 
-/// Progress that nobody watches.
+/// Progress that is not shown.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 

@@ -3,11 +3,11 @@
 //! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and
 //! is locked ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal`
 //! lists the parts of it that are known to be on the disk, each with a checksum, and a key of all that
-//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
-//! journal is not relied on, and what is there is checked before it is.
+//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. Bytes that are not in
+//! the journal are not relied on, and those that are there are checked first.
 //!
-//! Where the file says at its beginning what comes later, that is replaced in the end, once the journal lists
-//! what was there and what will be: the checksums are of what was there.
+//! Bytes at the beginning of the file that depend on later ones are replaced in the end, once the journal
+//! lists the old and the new ones: the checksums are of the old ones.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -24,14 +24,14 @@ use crate::target::folder_of;
 use crate::uncached::UncachedFile;
 use crate::{Error, Output, Progress, Result, Summary};
 
-/// What a journal begins with.
+/// First word of a journal.
 const FORMAT: &str = "simod-journal/1";
 
 /// Bytes that are checked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths of
-/// a file's compressed blocks some 6 bytes for each of these.
+/// Most bytes of a journal: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths
+/// of a file's compressed blocks some 6 bytes for each of these.
 const LONGEST: u64 = 64 << 20;
 
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
@@ -44,31 +44,33 @@ pub struct ResumableFile {
     file: UncachedFile,
     journal: Journal,
     recorder: JournalRecorder,
-    /// What is written: pieces, and bytes.
+    /// Number of pieces that were written, and (`end`) of bytes.
     pieces: u64,
     end: u64,
-    /// Hash of what is written since the last part, and how many bytes of the model that stands for.
+    /// Hash of the bytes written since the last part, and (`since`) the number of bytes of the model that
+    /// they stand for.
     hash: Xxh3Default,
     since: u64,
-    /// The summary of what is written since the last part.
+    /// Summary of the pieces written since the last part.
     summary: Summary,
-    /// A part is over once it stands for so many bytes of the model.
+    /// Number of bytes of the model after which a part is over.
     part_bytes: u64,
-    /// In the end it waits until all is on the disk.
+    /// Whether the end of writing waits until all is on the disk.
     syncs: bool,
 }
 
-/// What [`ResumableFile::open`] finds.
+/// Result of [`ResumableFile::open`].
 pub enum Opened {
-    /// There is something to write.
+    /// The file has still to be written, as a whole or in part.
     Unfinished(Box<ResumableFile>),
-    /// An earlier call wrote all of it, and it stands in its place.
+    /// The file is complete: an earlier call wrote all of it, and it stands in its place.
     Finished(Finished),
 }
 
 impl ResumableFile {
-    /// Begins the file `path`, whose bytes `key` determines. With `resume`, what an earlier call left is
-    /// checked and kept as far as it is good; why it is not, if so, is told to `progress`.
+    /// Begins the file `path`, whose bytes `key` determines. With `resume`, the part that an earlier call
+    /// left is checked and kept as far as it is good; the reason for starting anew, if so, is told to
+    /// `progress`.
     ///
     /// # Errors
     /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
@@ -117,7 +119,7 @@ impl ResumableFile {
         Ok(Opened::Unfinished(Box::new(this)))
     }
 
-    /// What an earlier call left that can be relied on.
+    /// Returns the parts that an earlier call left and that can be relied on.
     fn find(&mut self, progress: &dyn Progress) -> Result<JournalState> {
         let places = self.claim.places().clone();
         let name = places.path.display();
@@ -157,25 +159,25 @@ impl ResumableFile {
         Ok(JournalState { is_complete, parts, patches, in_target: false })
     }
 
-    /// Leaves it to the caller to bring the complete file to the disk, or not to, where it is removed soon.
-    /// Should that not come about, its checksums tell.
+    /// Leaves it to the caller to bring the complete file to the disk, or not to, where the file is removed
+    /// soon. If it never gets to the disk, its checksums tell.
     pub fn leave_syncing(&mut self) {
         self.syncs = false;
     }
 
-    /// Waits until what was written is on the disk, unless that is left to the caller.
+    /// Waits until all written bytes are on the disk, unless that is left to the caller.
     fn sync(&self) -> io::Result<()> {
         if self.syncs { self.file.file().sync_all() } else { Ok(()) }
     }
 
-    /// After how many pieces each of the parts ends.
+    /// Number of pieces up to the end of each part.
     pub fn boundaries(&self) -> impl Iterator<Item = u64> {
         self.journal.parts.iter().map(|p| p.pieces)
     }
 
     /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has
-    /// to be called before anything is written to what an earlier call left. Returns how many bytes are
-    /// there.
+    /// to be called before anything is written behind the parts of an earlier call. Returns the number of
+    /// bytes that are there.
     ///
     /// # Errors
     /// The journal cannot be written, or the part file cannot be cut.
@@ -196,7 +198,7 @@ impl ResumableFile {
         Ok(self.end)
     }
 
-    /// What is written since the last part.
+    /// Entry for the part that is written since the last complete one.
     fn open_part(&self) -> JournalEntry {
         let summary = self.summary.clone();
         JournalEntry { pieces: self.pieces, end: self.end, hash: self.hash.digest128(), summary }
@@ -210,8 +212,8 @@ impl ResumableFile {
         self.recorder.record(self.journal.clone())
     }
 
-    /// Says that nothing more comes, and waits until all is on the disk. A later call takes the file for
-    /// finished if it was of more than one part, or is `one_of_several`.
+    /// Ends the file, and waits until all is on the disk. A later call takes the file for finished if it was
+    /// of more than one part, or is `one_of_several`.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
@@ -255,7 +257,7 @@ impl ResumableFile {
         Ok(finished)
     }
 
-    /// The hash of the whole file, where all of it was written as one part and nothing is replaced in it.
+    /// Hash of the whole file, where all of it was written as one part and nothing is replaced in it.
     fn hash(&self) -> Option<u128> {
         if !self.journal.patches.is_empty() {
             return None;
@@ -270,12 +272,12 @@ impl ResumableFile {
 
     /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(mut self) {
-        // What could not be recorded is not kept.
+        // Parts that could not be recorded are not kept.
         let _ = self.recorder.finish();
         let Some(Some(journal)) = Journal::read(self.claim.places()) else { return };
         if let Some(last) = journal.parts.last() {
-            // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on
-            // with.
+            // The rest of the file may be what fills the disk. If it cannot be cut off now, that happens when
+            // the file is gone on with.
             let _ = self.file.wait();
             let _ = self.file.file().set_len(last.end);
             let _ = remove(&self.claim.places().new_journal);
@@ -338,7 +340,7 @@ impl Output for ResumableFile {
 
 impl Drop for ResumableFile {
     fn drop(&mut self) {
-        // First, as it writes the journal; what is left goes with the claim.
+        // The recorder ends first, as it writes the journal; the other files go with the claim.
         let _ = self.recorder.finish();
     }
 }
@@ -356,8 +358,8 @@ impl Finished {
         fs::metadata(&self.places.target).map_or(0, |m| m.len())
     }
 
-    /// The XXH3 hash of 128 bits of all its bytes, where it is known without reading them: of a file that
-    /// this call wrote as one part, and in which nothing was replaced.
+    /// XXH3 hash of 128 bits of all bytes of the file, where it is known without reading them: for a file
+    /// that this call wrote as one part, and in which nothing was replaced.
     pub fn hash(&self) -> Option<u128> {
         self.hash
     }
@@ -380,16 +382,16 @@ impl Drop for Finished {
 struct JournalState {
     /// The good ones.
     parts: Vec<JournalEntry>,
-    /// What may be replaced in them.
+    /// Replacements that may have been made in the parts.
     patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
-    /// The whole file, good, stands in its place.
+    /// The whole file stands in its place, and its checksums are right.
     in_target: bool,
 }
 
-/// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
-/// not. Where bytes were to be replaced, either will do.
+/// Number of the parts, from the first on, that are in the file as they were written. A part that cannot be
+/// read is not counted. Bytes that were to be replaced may be the old or the new ones.
 fn good_parts(
     mut file: &File,
     parts: &[JournalEntry],
@@ -421,8 +423,8 @@ fn good_parts(
     Ok(parts.len())
 }
 
-/// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume`
-/// the file itself, if an earlier call finished it.
+/// Bytes of the file `path` that the disk holds already: those of its part file, and with `resume` the file
+/// itself, if an earlier call finished it.
 pub fn bytes_there(path: &Path, resume: bool) -> u64 {
     let Ok(places) = OutputFiles::of_file(path) else { return 0 };
     let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
@@ -447,29 +449,29 @@ pub(crate) fn forget(path: &Path) {
     }
 }
 
-/// The journal: what is known to be on the disk.
+/// The journal: parts that are known to be on the disk.
 #[derive(Debug, Clone, PartialEq)]
 struct Journal {
     /// Hash of all that determines the bytes.
     key: String,
-    /// Ascending.
+    /// Parts in the order of the file.
     parts: Vec<JournalEntry>,
-    /// What is replaced in them in the end.
+    /// Replacements in the parts, which are made in the end.
     patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
 }
 
-/// A run of bytes, which begins where the part before it ends.
+/// Part of the file: a run of bytes, which begins where the part before it ends.
 #[derive(Debug, Clone, PartialEq)]
 struct JournalEntry {
-    /// Number of pieces up to its end.
+    /// Number of pieces up to the end of the part.
     pieces: u64,
-    /// Where it ends in the file.
+    /// Byte of the file at which the part ends.
     end: u64,
-    /// The hash of its bytes, before anything is replaced in them.
+    /// Hash of the part's bytes, before anything is replaced in them.
     hash: u128,
-    /// The summary of its pieces.
+    /// Summary of the part's pieces.
     summary: Summary,
 }
 
@@ -482,7 +484,7 @@ struct JournalPatch {
 }
 
 impl JournalPatch {
-    /// Puts what was there back into a block of the file, as far as it lies there, if all of that was
+    /// Puts the old bytes back into a block of the file, as far as the patch lies in it, if all of them were
     /// replaced.
     fn undo(&self, start: u64, block: &mut [u8]) {
         let from = self.at.max(start);
@@ -514,7 +516,7 @@ fn from_hex(text: &str) -> Option<Vec<u8>> {
 }
 
 impl Journal {
-    /// Lines of words, the last of which is a checksum of those before it.
+    /// Text of the journal: lines of words, the last of which is a checksum of those before it.
     fn encode(&self) -> String {
         let mut text = format!("{FORMAT}\nkey {}\n", self.key);
         for JournalEntry { pieces, end, hash, summary } in &self.parts {
@@ -568,9 +570,9 @@ impl Journal {
         journal.parts.is_sorted_by(|a, b| a.pieces < b.pieces && a.end <= b.end).then_some(journal)
     }
 
-    /// The journal in its place, if there is one; `Some(None)` if it is damaged.
+    /// Reads the journal in its place, if there is one; `Some(None)` if it is damaged.
     fn read(places: &OutputFiles) -> Option<Option<Self>> {
-        // Not through a link that somebody else put there.
+        // The journal is not read through a link, which another process may have put there.
         let file = open_at_once(&places.journal, false).ok()?;
         let mut bytes = Vec::new();
         if !file.metadata().is_ok_and(|is| is.is_file())
@@ -606,7 +608,8 @@ impl JournalRecorder {
         Self { idle: Some((file, places)), busy: None }
     }
 
-    /// Records what is written up to now. An earlier failure is told here, or in [`finish`](Self::finish).
+    /// Records the parts written up to now. An earlier failure is returned here, or by
+    /// [`finish`](Self::finish).
     fn record(&mut self, journal: Journal) -> io::Result<()> {
         if let Some((file, places)) = self.idle.take() {
             let (send, receive) = sync_channel::<Journal>(1);
@@ -739,7 +742,7 @@ mod tests {
         }
     }
 
-    /// Whenever it was killed, the file becomes what it would have become.
+    /// A file of a process that was killed at any time becomes the file that it would have become.
     #[test]
     fn what_is_replaced_in_the_end_is_replaced_once() {
         let folder = tempfile::tempdir().unwrap();
@@ -759,7 +762,8 @@ mod tests {
             }
             patch(&mut file);
             match stage {
-                // Before anything was replaced, in the midst of it, when all was, and when it was said so.
+                // The process may be killed before anything was replaced, in the midst of it, when all was
+                // replaced, and when that was recorded.
                 0 => {}
                 1 | 2 => {
                     file.recorder.finish().unwrap();

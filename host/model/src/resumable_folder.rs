@@ -20,15 +20,15 @@ const SYNCED_AT_ONCE: usize = 16;
 /// Files of a folder in the making, one after the other. Dropped before [`commit`](Self::commit), it leaves
 /// no trace, unless it is to be [kept](Self::keep).
 pub struct ResumableFolder {
-    /// The file after the finished ones, where it is begun; given up before its folder is.
+    /// File after the finished ones, if it was begun; it is given up before the folder is.
     current: Option<Box<ResumableFile>>,
     folder: OutputFolder,
     names: Vec<PathBuf>,
     key: String,
     part_bytes: u64,
-    /// In the end it waits until all is on the disk.
+    /// Whether the end of writing waits until all is on the disk.
     syncs: bool,
-    /// How many files are finished, the first ones.
+    /// Number of finished files, which are the first ones.
     finished: usize,
     /// The bytes of each file that an earlier call wrote.
     taken_over: Vec<u64>,
@@ -36,11 +36,11 @@ pub struct ResumableFolder {
     is_in_place: bool,
 }
 
-/// What [`ResumableFolder::open`] finds.
+/// Result of [`ResumableFolder::open`].
 pub enum OpenedFolder {
-    /// There is something to write.
+    /// The folder has still to be written, as a whole or in part.
     Unfinished(Box<ResumableFolder>),
-    /// An earlier call wrote all of it, and it stands in its place.
+    /// The folder is complete: an earlier call wrote all of it, and it stands in its place.
     Finished(FinishedFolder),
 }
 
@@ -50,8 +50,8 @@ fn key_of(key: &str, number: usize) -> String {
 }
 
 impl ResumableFolder {
-    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, what an earlier
-    /// call left is checked and kept as far as it is good.
+    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, the files that
+    /// an earlier call left are checked and kept as far as they are good.
     ///
     /// # Errors
     /// The folder cannot be written, or holds what would be lost; another process writes it; the user
@@ -88,7 +88,7 @@ impl ResumableFolder {
         Ok(OpenedFolder::Unfinished(Box::new(this)))
     }
 
-    /// What an earlier call left that can be relied on.
+    /// Takes over the files that an earlier call left and that can be relied on.
     fn find(&mut self, progress: &dyn Progress) -> Result<()> {
         for number in 0..self.names.len() {
             let path = self.path_of(number);
@@ -122,7 +122,7 @@ impl ResumableFolder {
         self.folder.named(e)
     }
 
-    /// After how many files, and how many pieces of the next one, work can be gone on with.
+    /// Numbers of files, and of pieces of the file after them, behind which work can be gone on with.
     pub fn boundaries(&self) -> Vec<(u64, u64)> {
         let files = self.finished as u64;
         let of_files = (0..=files).map(|files| (files, 0));
@@ -152,7 +152,7 @@ impl ResumableFolder {
         self.syncs = false;
     }
 
-    /// Says that nothing more comes.
+    /// Ends the folder: nothing more is written to it.
     ///
     /// # Errors
     /// Not all files were written.
@@ -197,7 +197,7 @@ impl ResumableFolder {
         folders.iter().try_for_each(|inner| sync_folder(&folder.join(inner)))
     }
 
-    /// Leaves what is recorded to a later call, if there is anything.
+    /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(self) {
         let Self { folder, finished, current, is_in_place, .. } = self;
         let in_part = current.as_ref().is_some_and(|file| file.boundaries().next().is_some());
@@ -307,7 +307,7 @@ impl Drop for FinishedFolder {
     }
 }
 
-/// The folder, if an earlier call had finished it and another one is to do the rest.
+/// Takes the folder in its place, if an earlier call had finished it and another one is to do the rest.
 fn in_place(
     path: &Path,
     names: &[PathBuf],
@@ -330,8 +330,8 @@ fn in_place(
     Ok(Some(FinishedFolder { files, leave: false }))
 }
 
-/// Whether files of these names may be written to a folder of their own: one that is there holds nothing
-/// else.
+/// Checks that files of these names may be written to a folder of their own: a folder that is there holds
+/// nothing else.
 ///
 /// # Errors
 /// The path is a file, or the folder holds something that would be lost.
@@ -437,7 +437,7 @@ mod tests {
         assert_eq!(listed(&path.join("sub")), ["b"]);
     }
 
-    /// Wherever it stopped, it is gone on with, and nothing but the folder is left.
+    /// A folder is gone on with wherever writing stopped, and nothing but the folder is left.
     #[test]
     fn a_kept_folder_is_gone_on_with() {
         let place = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What a model is rewritten to: a file, or a folder with a file for each tile, which can be gone on with; or
+//! Output of a rewritten model: a file, or a folder with a file for each tile, which can be gone on with; or
 //! an object.
 
 use std::path::{Path, PathBuf};
@@ -22,15 +22,15 @@ pub enum ResumableOutput {
     Object(Box<ObjectOutput>),
 }
 
-/// What [`ResumableOutput::open`] finds.
+/// Result of [`ResumableOutput::open`].
 pub enum OpenedOutput {
-    /// There is something to write.
+    /// The output has still to be written, as a whole or in part.
     Unfinished(ResumableOutput),
-    /// An earlier call wrote all of it, and it stands in its place.
+    /// The output is complete: an earlier call wrote all of it, and it stands in its place.
     Finished(FinishedOutput),
 }
 
-/// What an output is called, and what its files are called in it, if it is a folder.
+/// Path of an output, and the names of its files if it is a folder.
 #[derive(Debug, Clone)]
 pub struct OutputPaths {
     path: PathBuf,
@@ -40,13 +40,13 @@ pub struct OutputPaths {
 }
 
 impl OutputPaths {
-    /// Where a model's output goes: a file, or a folder of tiles.
+    /// Paths of a model's output: a file, or a folder of tiles.
     pub fn for_model(model: &dyn Model, path: &Path) -> Self {
         let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
         Self { path: path.to_owned(), names, bytes: model.written_bytes() }
     }
 
-    /// The one name that all paths to it share.
+    /// Path of the output by the one name that all paths to it share.
     ///
     /// # Errors
     /// The output cannot be written, or holds what would be lost.
@@ -58,7 +58,7 @@ impl OutputPaths {
         canonical_folder(&self.path)
     }
 
-    /// Bytes of it that the disk holds already.
+    /// Bytes of the output that the disk holds already.
     pub fn bytes_there(&self, resume: bool) -> u64 {
         if self.names.is_empty() {
             bytes_there(&self.path, resume)
@@ -67,12 +67,12 @@ impl OutputPaths {
         }
     }
 
-    /// Whether an earlier call left something of it.
+    /// Whether an earlier call left something of the output.
     pub fn is_left(&self) -> bool {
         if self.names.is_empty() { is_left(&self.path) } else { is_folder_left(&self.path, &self.names) }
     }
 
-    /// Each file of it.
+    /// Paths of the output's files.
     pub fn files(&self) -> Vec<PathBuf> {
         if self.names.is_empty() {
             return vec![self.path.clone()];
@@ -115,8 +115,8 @@ impl ResumableOutput {
         })
     }
 
-    /// Leaves it to the caller to bring the complete output to the disk, or not to, where it is removed soon.
-    /// A store has it in any case.
+    /// Leaves it to the caller to bring the complete output to the disk, or not to, where the output is
+    /// removed soon. A store keeps an object in any case.
     pub fn leave_syncing(&mut self) {
         match self {
             Self::File(file) => file.leave_syncing(),
@@ -125,7 +125,8 @@ impl ResumableOutput {
         }
     }
 
-    /// After how many files, and how many pieces of the next one, work can be gone on with: ascending.
+    /// Numbers of files, and of pieces of the file after them, behind which work can be gone on with:
+    /// ascending.
     pub fn boundaries(&self) -> Vec<(u64, u64)> {
         match self {
             Self::File(file) => file.boundaries().map(|pieces| (0, pieces)).collect(),
@@ -134,7 +135,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Goes on after one of these: see [`ResumableFile::go_on_after`].
+    /// Goes on behind one of these [boundaries](Self::boundaries): see [`ResumableFile::go_on_after`].
     ///
     /// # Errors
     /// As of [`ResumableFile::go_on_after`].
@@ -146,7 +147,7 @@ impl ResumableOutput {
         }
     }
 
-    /// What is written to.
+    /// The output as a trait object, for a rewriting to write to.
     pub fn as_output(&mut self) -> &mut dyn Output {
         match self {
             Self::File(file) => &mut **file,
@@ -155,7 +156,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Says that nothing more comes: see [`ResumableFile::complete`].
+    /// Ends the output: see [`ResumableFile::complete`].
     ///
     /// # Errors
     /// As of [`ResumableFile::complete`].
@@ -167,7 +168,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Puts what is complete in its place.
+    /// Puts the complete output in its place.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -179,7 +180,7 @@ impl ResumableOutput {
         }
     }
 
-    /// Leaves what is recorded to a later call, if there is anything.
+    /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(self) {
         match self {
             Self::File(file) => file.keep(),
@@ -189,7 +190,7 @@ impl ResumableOutput {
     }
 }
 
-/// An output that stands in its place; what a later call would know it by is removed with this.
+/// Output that stands in its place; the journals by which a later call would know it are removed with this.
 pub enum FinishedOutput {
     /// A file.
     File(Finished),
@@ -209,7 +210,8 @@ impl FinishedOutput {
         }
     }
 
-    /// The hash of its bytes, of a file of which it is known without reading them: see [`Finished::hash`].
+    /// Hash of the output's bytes, if it is a file whose hash is known without reading it: see
+    /// [`Finished::hash`].
     pub fn hash(&self) -> Option<u128> {
         match self {
             Self::File(file) => file.hash(),
@@ -217,7 +219,7 @@ impl FinishedOutput {
         }
     }
 
-    /// Leaves it to a later call, that does the rest, to know this.
+    /// Keeps the journals, by which a later call, which does the rest, knows the output.
     pub fn keep(self) {
         match self {
             Self::File(file) => file.keep(),

@@ -7,7 +7,7 @@ use crate::bounds::Bounds;
 /// The storage of positions as integers of 32 bits: a position is number · scale + offset, axis by axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaledIntegers {
-    /// From one number to the next, in the model's unit; finite, and not zero.
+    /// Step from one number to the next, in the model's unit; finite, and not zero.
     pub scale: DVec3,
     /// The position of number zero.
     pub offset: DVec3,
@@ -27,19 +27,19 @@ impl ScaledIntegers {
         if number <= f64::from(i32::MIN) - 1.0 || number >= f64::from(i32::MAX) + 1.0 || number.is_nan() {
             return None;
         }
-        // As `round` has it, which is a call on processors that cannot do it at once.
+        // Rounding as `round` does, which is a call on processors that have no instruction for it.
         let whole = number as i64;
         let part = number - whole as f64;
         i32::try_from(whole + i64::from(part >= 0.5) - i64::from(part <= -0.5)).ok()
     }
 
-    /// The numbers that are nearest to a position: the same as of each axis, where none is at the end of what
-    /// a number can be.
+    /// Numbers that are nearest to a position: the same as for each axis, where none is at the end of the
+    /// range of numbers.
     #[inline(always)]
     pub fn nearest_within(&self, p: DVec3) -> Option<IVec3> {
         let number = (p - self.offset) / self.scale;
         let (low, high) = (f64::from(i32::MIN) + 1.0, f64::from(i32::MAX) - 1.0);
-        // Not so of what is no number.
+        // The test is written so that NaN fails.
         if !(number.min_element() > low && number.max_element() < high && !number.is_nan()) {
             return None;
         }
@@ -60,8 +60,8 @@ impl ScaledIntegers {
         Bounds::from_points([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
     }
 
-    /// The number of steps by which the offset has to move, if it has to, so that there are numbers for all
-    /// within some bounds and a margin around them; an axis along which none will do.
+    /// Numbers of steps by which the offset has to move, if it has to, so that all positions within some
+    /// bounds and a margin around them have integers; an error with the axis along which no offset will do.
     pub(crate) fn steps_to(&self, bounds: &Bounds, margin: f64) -> Result<Option<[i64; 3]>, usize> {
         if bounds.is_empty() {
             return Ok(None);
@@ -97,7 +97,7 @@ mod tests {
             let integers = ScaledIntegers { scale, offset: DVec3::from(offset) };
             let numbers = IVec3::from(numbers);
             let there = integers.position(numbers);
-            // Within what a double tells apart.
+            // Distances within the precision of doubles count as none.
             let far = (integers.offset.abs() + there.abs()) * f64::EPSILON / scale;
             let back = integers.nearest(there);
             if far.max_element() < 0.4 && numbers.abs().max_element() < i32::MAX {

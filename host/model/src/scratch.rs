@@ -14,15 +14,15 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct Scratch {
     file: Positioned,
-    /// The file as it is mapped.
+    /// Second handle of the file, by which it is mapped.
     handle: File,
     folder: PathBuf,
-    /// What the user can do about it, beside making room.
+    /// Advice for a failure beside making room, for the user.
     advice: &'static str,
 }
 
 impl Scratch {
-    /// A new file in `folder`. If that fails, or what is done with it later, the error's hint ends with
+    /// A new file in `folder`. If creating it fails, or a later operation on it, the error's hint ends with
     /// `advice`.
     ///
     /// # Errors
@@ -32,8 +32,8 @@ impl Scratch {
         Self::from_file(file, folder, advice)
     }
 
-    /// An error where the disk of `folder` has no room for so many bytes of temporary files: better known
-    /// before much is done than in the midst of it. Its hint ends with `advice`.
+    /// Error where the disk of `folder` has no room for so many bytes of temporary files: better known before
+    /// long work than in the midst of it. The error's hint ends with `advice`.
     ///
     /// # Errors
     /// The disk has no room.
@@ -47,7 +47,7 @@ impl Scratch {
         Ok(Self { file: Positioned::new(file), handle, folder: folder.to_owned(), advice })
     }
 
-    /// A new file beside it.
+    /// Creates another temporary file in the same folder.
     ///
     /// # Errors
     /// The file cannot be made.
@@ -63,7 +63,7 @@ impl Scratch {
         self.file.write_all_at(bytes, offset).map_err(|e| refused("write", &self.folder, self.advice, &e))
     }
 
-    /// Fills `bytes` with what stands at a place.
+    /// Fills `bytes` from a place of the file.
     ///
     /// # Errors
     /// The file is shorter, or the operating system refuses.
@@ -71,7 +71,7 @@ impl Scratch {
         self.file.read_exact_at(bytes, offset).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// Makes it `bytes` long, with zeros where nothing is written.
+    /// Sets the length of the file to `bytes`, with zeros where nothing is written.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -97,8 +97,8 @@ impl Scratch {
         map.map(Mapped::new).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// The file as memory that can be written. All of it must have been written before, so that the disk has
-    /// room for it.
+    /// The file as memory that can be written. All bytes of the file must have been written before, so that
+    /// the disk has room for them.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -111,7 +111,7 @@ impl Scratch {
 }
 
 fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Error {
-    // Where it is, also where it was called `.`.
+    // The folder's full path names it also where the user called it `.`.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     advised(Error::io(&format!("{action} a temporary file in"), &folder, e), advice)
 }

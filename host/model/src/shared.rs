@@ -17,7 +17,7 @@ use crate::{Error, Output, Result, Summary};
 pub struct SharedFile {
     path: PathBuf,
     file: UncachedFile,
-    /// Where the next byte goes.
+    /// Byte of the file at which the next written byte goes.
     at: u64,
 }
 
@@ -32,12 +32,12 @@ impl SharedFile {
         Ok(Self { path: path.to_owned(), file: UncachedFile::new(file.map_err(failed)?), at: 0 })
     }
 
-    /// Where the next byte goes.
+    /// Byte of the file at which the next written byte goes.
     pub fn position(&self) -> u64 {
         self.at
     }
 
-    /// Brings what was written to the disk; behind it, there is nothing, if it is the `end`.
+    /// Brings the written bytes to the disk; with `is_end`, the file is cut off behind them.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
@@ -53,7 +53,7 @@ impl SharedFile {
     }
 
     /// Puts the file, which nobody writes any more, in the place of an output, with the permissions and the
-    /// owner of what it replaces.
+    /// owner of the file that it replaces.
     ///
     /// # Errors
     /// Another process writes the output, or the operating system refuses; it is then what it was.
@@ -111,7 +111,7 @@ fn put(mut file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)
 }
 
-/// Whether so many bytes of a file are there.
+/// Whether a file is there and has so many bytes.
 pub fn reaches(path: &Path, end: u64) -> bool {
     fs::metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() >= end)
 }

@@ -16,11 +16,11 @@ use crate::resumable_folder::check_target;
 use crate::target::folder_of;
 use crate::{Error, ErrorKind, Output, Progress, Result, Summary, Tile};
 
-/// By what a file is known that was written.
+/// Stamp of a file that was written, by which a later process knows the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WrittenFile {
     bytes: u64,
-    /// When it was, since 1970, where the file system tells.
+    /// Time of the last change since 1970, where the file system tells it.
     changed: Option<Duration>,
 }
 
@@ -37,18 +37,18 @@ impl WrittenFile {
         self.bytes
     }
 
-    /// Whether a file of its size is at a path.
+    /// Whether a file of the same size is at a path.
     pub fn fits(&self, path: &Path) -> bool {
         Self::read_stamp(path).is_ok_and(|file| file.bytes == self.bytes)
     }
 
-    /// Whether it is the file at a path.
+    /// Whether the file at a path is this one, unchanged.
     pub fn is(&self, path: &Path) -> bool {
         Self::read_stamp(path).is_ok_and(|file| file == *self)
     }
 }
 
-/// Files of the folder that one process writes, one after the other: what tiles are rewritten to. Dropped
+/// Files of the folder that one process writes, one after the other, for the tiles that it rewrites. Dropped
 /// before [`keep`](Self::keep), it leaves none of them.
 ///
 /// Memory: a buffer of 256 KiB.
@@ -71,7 +71,7 @@ impl<'a> SharedFiles<'a> {
         self.written.iter().map(|(_, file)| file.clone()).collect()
     }
 
-    /// Leaves them.
+    /// Keeps the written files.
     pub fn keep(mut self) {
         self.keeps = true;
     }
@@ -122,7 +122,7 @@ impl Output for SharedFiles<'_> {
 impl Drop for SharedFiles<'_> {
     fn drop(&mut self) {
         if !self.keeps {
-            // What cannot be removed is written again.
+            // A file that cannot be removed will be written again.
             self.written.iter().for_each(|(path, _)| drop(fs::remove_file(path)));
         }
     }
@@ -153,18 +153,18 @@ pub fn become_output(folder: &Path, names: &[PathBuf], output: &Path, progress: 
     }
     sync_folders(place.path(), names).map_err(|e| Error::io("write", output, &e))?;
     place.commit()?;
-    // The output is there: what cannot be removed hurts nobody.
+    // The output is there: files that cannot be removed hurt nobody.
     let _ = remove(folder);
     Ok(())
 }
 
-/// Removes what a process left that was killed when the folder had become the output.
+/// Removes the folder that a process left which was killed when the folder had become the output.
 ///
 /// # Errors
 /// Another process writes the output, or the operating system refuses.
 pub fn settle(folder: &Path, output: &Path) -> Result<()> {
     drop(OutputFolder::create(output)?);
-    // What the output has replaced, or was copied from.
+    // The folder holds the files that the output replaced, or was copied from.
     remove(folder).map_err(|e| Error::io("remove", folder, &e))
 }
 
@@ -222,7 +222,7 @@ mod tests {
                 assert_eq!(fs::read(output.join(name)).unwrap(), [b'1', text[1], text[2]]);
             }
             assert_eq!(listed(place.path()), ["out"]);
-            // Of the same size, and another one.
+            // The file has the same size, and is another one.
             crate::output::write_file(&output.join("c"), b"102").unwrap();
             assert!(!other[0].is(&output.join("c")) && other[0].fits(&output.join("c")));
         }

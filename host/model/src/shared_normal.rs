@@ -1,12 +1,12 @@
-//! Normals that several vertices share: what they become where these turn differently.
+//! Normals that several vertices share: their new direction where these vertices turn differently.
 
 use glam::{DVec3, Vec3};
 
 /// Least cosine of the angle between a normal at a place and the mean.
 const AGREE: f32 = 0.996_194_7;
 
-/// The mean of what a normal becomes at its places; `None` where they disagree. Of its length is what the
-/// others are on average.
+/// Mean of the turned normals at all places that share a normal; `None` where they disagree. Its length is
+/// the mean of theirs.
 pub(crate) fn mean(old: Vec3, turned: &[Vec3]) -> Option<Vec3> {
     let same = |new: &Vec3| new.to_array().map(f32::to_bits) == old.to_array().map(f32::to_bits);
     if turned.iter().all(same) {

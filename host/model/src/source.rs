@@ -24,19 +24,19 @@ pub(crate) struct SourceFile {
     file_len: u64,
 }
 
-/// How a file is held.
+/// Way in which a file is held.
 #[derive(Debug, Clone)]
 enum Handle {
     /// Open.
     Open(Arc<Positioned>),
-    /// Open when it is read, as there are many.
+    /// A file that is opened when it is read, as there are many.
     Pooled(Arc<Pooled>),
     /// An object in a store.
     Object(Arc<dyn Object>),
 }
 
-/// The stamp of a file or an object, which tells whether it is what it was: its size, and when it was written
-/// or its version.
+/// Stamp of a file or an object, by which a change is noticed: its size, and the time when it was written or
+/// its version.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Stamp {
     File(u64, SystemTime),
@@ -79,7 +79,7 @@ impl SourceFile {
         Self::open(path, pool)
     }
 
-    /// What was written to a temporary file, in the name of another one.
+    /// Source of the bytes that were written to a temporary file, under the path of another file.
     pub(crate) fn of_scratch(scratch: Scratch, path: &Path, len: u64) -> Self {
         Self::of_part(scratch.into_file(), path, len)
     }
@@ -90,7 +90,7 @@ impl SourceFile {
         Self { file: Handle::Open(Arc::new(file)), path: path.to_owned(), len, file_len }
     }
 
-    /// What tells whether it is what it was, where that is known.
+    /// Stamp of the file, by which a change of it is noticed, where the system tells one.
     pub(crate) fn stamp(&self) -> Option<Stamp> {
         let is = match &self.file {
             Handle::Open(file) => file.metadata(),
@@ -112,7 +112,8 @@ impl SourceFile {
         self.len
     }
 
-    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end of the file.
+    /// Fills `buffer` from `offset` on; returns the number of bytes read, which is less than the buffer's
+    /// length only at the end of the file.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
         let again;
@@ -145,8 +146,8 @@ impl SourceFile {
         self.read_at(&mut buffer[old..], offset)
     }
 
-    /// An error where the file is not as long any more as when it was opened. Of an object, all reads are of
-    /// the version that was.
+    /// Error where the file is not as long any more as when it was opened. Reads of an object are all of the
+    /// version that was opened.
     pub(crate) fn check_unchanged(&self) -> Result<()> {
         let is = match &self.file {
             Handle::Open(file) => file.metadata(),

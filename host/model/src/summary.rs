@@ -1,5 +1,5 @@
-//! What places elsewhere in a file have to know of its vertices: their box, which its header has, and the
-//! lengths of its compressed blocks, which a table lists.
+//! Summary of a file's vertices for other places of the file: their box, which the header has, and the
+//! lengths of compressed blocks, which a table lists.
 
 use std::collections::BTreeMap;
 
@@ -7,19 +7,20 @@ use glam::{DVec3, Vec4};
 
 use crate::bounds::Bounds;
 
-/// What is known of some pieces of a new version of a model.
+/// Summary of some pieces of a new version of a model.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Summary {
-    /// The box of the vertices as they were, in whatever the format counts in.
+    /// Box of the vertices as they were, in the unit that the format counts in.
     pub(crate) before: Bounds,
     /// The box of the vertices in the new version.
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// The boxes of parts of the file whose boxes are of numbers as it stores them: ascending, no part twice.
+    /// Boxes of those parts of the file whose boxes are of numbers as the file stores them: ascending, no
+    /// part twice.
     pub(crate) parts: Vec<PartBox>,
-    /// For each part of the model that has boxes of its own, by its number: those of the vertices as they
-    /// were, and as they are in the new version.
+    /// Boxes of each part of the model that has its own, by the part's number: that of the vertices as they
+    /// were, and that of the vertices in the new version.
     pub(crate) boxes: BTreeMap<u32, [Bounds; 2]>,
     /// The checksums of those pages of the new version of which a part is known only in the end.
     pub(crate) checksums: BTreeMap<u64, u32>,
@@ -30,17 +31,17 @@ pub struct Summary {
 pub(crate) struct PartBox {
     /// The number of the part.
     pub(crate) part: u32,
-    /// Whether anything in it is elsewhere than it was.
+    /// Whether any number of the part has changed.
     pub(crate) has_moved: bool,
     pub(crate) min: Vec4,
     pub(crate) max: Vec4,
 }
 
 impl PartBox {
-    /// Numbers of its word.
+    /// Count of the numbers in the text of a part's box.
     const NUMBERS: usize = 10;
 
-    /// A box with nothing in it.
+    /// Box of a part without anything in it.
     pub(crate) fn empty(part: u32) -> Self {
         Self { part, has_moved: false, min: Vec4::INFINITY, max: Vec4::NEG_INFINITY }
     }
@@ -71,7 +72,7 @@ impl PartBox {
 }
 
 impl Summary {
-    /// Adds what comes behind it.
+    /// Adds the summary of the pieces behind these.
     pub fn absorb(&mut self, behind: &Self) {
         self.before.absorb(&behind.before);
         self.after.absorb(&behind.after);
@@ -106,7 +107,7 @@ impl Summary {
         Some(parts.join(";"))
     }
 
-    /// What such a word says.
+    /// Reads a summary from such a word.
     pub fn decode(word: &str) -> Option<Self> {
         let mut parts = word.split(';');
         let mut words = parts.next()?.split(',');

@@ -16,7 +16,7 @@ const MAX_LINKS: usize = 40;
 /// The path is a folder or a device, or an object, or links lead nowhere.
 pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     check_file("write", path)?;
-    // Asked of the path: what it leads to may have no name, as a pipe behind `/dev/stdout`.
+    // The check is on the path itself: its target may have no name, as a pipe behind `/dev/stdout`.
     let is = fs::metadata(path);
     let target = target_of(path)?;
     match is {
@@ -31,7 +31,7 @@ pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// What `path` means in the end, whatever it is; it has a name.
+/// Path that `path` leads to through links, whatever is there; it has a name.
 pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     check_file("write", path)?;
     let target = follow_links(path)?;
@@ -41,7 +41,8 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     Ok(target)
 }
 
-/// The file by the one name that all paths to it share, where its folder exists. An object has one name.
+/// Path of the file by the one name that all paths to it share, where its folder exists. An object has one
+/// name.
 ///
 /// # Errors
 /// The path is a folder or a device, links lead nowhere, or the folder is missing.
@@ -87,7 +88,7 @@ fn follow_links(path: &Path) -> Result<PathBuf> {
     ))
 }
 
-/// The folder for temporary files of what is written: the one that holds it, or for an object the system's.
+/// Folder for temporary files of an output: the one that holds the output, or for an object the system's.
 pub fn scratch_folder(path: &Path) -> PathBuf {
     if is_object(path) { std::env::temp_dir() } else { folder_of(path).to_owned() }
 }

@@ -1,8 +1,7 @@
 //! A model that is made of several files, as a survey of tiles: their vertices are numbered one after the
 //! other, and each file is rewritten to one of its own, as if it was alone.
 //!
-//! Each tile is a model by itself, of whatever format. Its file is [closed](crate::pool) while others are
-//! read.
+//! Each tile is a model by itself, of any format. Its file is [closed](crate::pool) while others are read.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,10 +25,11 @@ use crate::pool::Pool;
 use crate::target::folder_of;
 use crate::{Attribute, Error, Progress, Result};
 
-/// Most tiles of which something is made to read them from anywhere: each has an open file for it.
+/// Most tiles for which a cache is made to read them from anywhere: each has an open file.
 const MOST_UNPACKED: usize = 64;
 
-/// Most tiles that keep their positions while they are read again, likewise, and most bytes of all of these.
+/// Most tiles whose positions are kept while the tiles are read again, and (`MOST_KEPT_BYTES`) most bytes of
+/// all these.
 const MOST_KEPT: usize = 32;
 const MOST_KEPT_BYTES: u64 = 8 << 30;
 
@@ -47,25 +47,26 @@ pub(crate) struct TiledModel {
     path: PathBuf,
     info: ModelInfo,
     tiles: Vec<TilePart>,
-    /// What others are told of the tiles.
+    /// Tiles as callers see them.
     files: Vec<Tile>,
 }
 
 /// A tile, and where its vertices and attributes are among those of the whole model.
 struct TilePart {
     model: Box<dyn Model>,
-    /// Vertices of the tiles before it.
+    /// Number of vertices of the tiles before this one.
     before: u64,
-    /// Bytes of the tiles before it, and one more for each: the end of one is not the beginning of the next.
+    /// Bytes of the tiles before this one, and one more for each: the end of one is not the beginning of the
+    /// next.
     bytes_before: u64,
-    /// Where among its attributes those of the whole are.
+    /// Places of the whole model's attributes among the tile's own.
     places: Vec<usize>,
 }
 
 impl TilePart {
-    /// The moves that begin in the box that its file tells, or near to it if none does, with the same part of
-    /// the size of these as `margin` is of all: other tiles may be further away than the integers of this one
-    /// reach, and it has no vertices there.
+    /// Moves that begin in the box that the tile's file tells, or near to it if there are none, and the
+    /// margin that is the same part of their size as `margin` is of all: other tiles may be further away than
+    /// the integers of this one reach, and this tile has no vertices there.
     fn own_moves<'m>(&self, moves: &'m [[DVec3; 2]], margin: f64) -> (Cow<'m, [[DVec3; 2]]>, f64) {
         let size = |moves: &[[DVec3; 2]]| Bounds::from_points(moves.iter().map(|[_, to]| *to)).diagonal();
         let (Some(told), all) = (self.model.told_bounds(), size(moves)) else {
@@ -188,7 +189,7 @@ impl TiledModel {
         names.join(", ")
     }
 
-    /// Says in what the tiles differ.
+    /// Notes the differences between the tiles.
     fn tell(&self, progress: &dyn Progress) {
         let systems = distinct(self.infos().map(|info| &info.crs));
         if systems.len() > 1 {
@@ -231,7 +232,7 @@ impl TiledModel {
         })
     }
 
-    /// Whether a tile's positions are whole numbers, whose range can be another one.
+    /// Whether a tile's positions are whole numbers, whose range can be chosen anew.
     fn has_integers(part: &TilePart) -> bool {
         part.model.info().step != DVec3::ZERO
     }
@@ -242,14 +243,14 @@ fn common_attributes(tiles: &[TilePart]) -> Vec<Attribute> {
     common(tiles.iter().map(|part| &part.model.info().attributes))
 }
 
-/// What all lists have, in the order of the first one.
+/// Elements that all lists have, in the order of the first one.
 fn common<'a, T: Clone + PartialEq + 'a>(mut lists: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
     let mut common = lists.next().cloned().unwrap_or_default();
     lists.for_each(|list| common.retain(|one| list.contains(one)));
     common
 }
 
-/// What there is, each once, in the order in which it comes.
+/// Distinct elements, in the order in which they first come.
 fn distinct<T: PartialEq>(all: impl Iterator<Item = T>) -> Vec<T> {
     let mut found = Vec::new();
     for one in all {
@@ -280,7 +281,7 @@ fn too_many(path: &Path) -> Error {
     )
 }
 
-/// The folder that all files are in, at whatever depth, where such is known.
+/// Folder that all files are in, at any depth, if there is one.
 fn folder_of_all(files: &[PathBuf]) -> PathBuf {
     let mut folders = files.iter().map(|file| folder_of(file));
     let mut common = folders.next().unwrap_or(Path::new(".")).to_owned();
@@ -290,7 +291,7 @@ fn folder_of_all(files: &[PathBuf]) -> PathBuf {
     common
 }
 
-/// What files are called in a folder of all of them: their names, with the folders below the one that they
+/// Names of files in a folder of all of them: their file names, with the folders below the one that they
 /// share.
 pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     let absolute = |file: &PathBuf| {
@@ -308,8 +309,8 @@ pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     files.iter().map(name).collect()
 }
 
-/// What tiles are called in the folder that they are written to, none like another: of a `.gltf` with its
-/// buffers comes one GLB.
+/// Names of tiles in the folder that they are written to, none like another: of a `.gltf` with its buffers
+/// comes one GLB.
 pub(crate) fn written_names(files: &[PathBuf]) -> Vec<PathBuf> {
     let names = names(files);
     let mut taken: BTreeSet<PathBuf> = names.iter().cloned().collect();
@@ -410,7 +411,7 @@ impl VertexReader for TileReader<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
         while let Some((part, mut reader)) = self.next()? {
             if chunk.before != part.before {
-                // What another format left in it means nothing to this one.
+                // Data that the reader of another tile left in the chunk mean nothing to this one.
                 *chunk = VertexChunk::default();
             }
             chunk.before = 0;
@@ -429,8 +430,8 @@ impl VertexReader for TileReader<'_> {
     }
 }
 
-/// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be
-/// read on from any mark, but not from one to another.
+/// Reads the faces of one tile after the other. The byte between the faces of two tiles is of no face: faces
+/// can be read on from any mark, but not from one tile to another.
 struct TileFaces<'a> {
     tiles: std::slice::Iter<'a, TilePart>,
     open: Option<(&'a TilePart, Box<dyn FaceReader + 'a>)>,
@@ -615,7 +616,7 @@ impl Model for TiledModel {
             changes.extend(part.model.make_room(&own, margin)?);
         }
         let attributes = std::mem::take(&mut self.info.attributes);
-        // Of the first tile, by which the others are told apart.
+        // The info is that of the first tile, by which the others are told apart.
         if let Some(first) = self.tiles.first() {
             self.info = first.model.info().clone();
         }
@@ -636,7 +637,8 @@ impl Model for TiledModel {
     }
 
     fn division(&self, normals: Normals) -> Option<Division> {
-        // Of others, the bytes of their vertices are not known beforehand, or they have to be unpacked first.
+        // Tiles that cannot be divided have vertices whose bytes are not known beforehand, or have to be
+        // unpacked first.
         let are_divided = self.tiles.iter().all(|part| part.model.division(normals).is_some());
         let pieces = self.tiles.len() as u64;
         are_divided.then_some(Division { pieces, vertices: 0..pieces, in_place: true })
@@ -665,7 +667,7 @@ impl Model for TiledModel {
             let Rewriting { normals, pieces_at_once, .. } = how;
             let of_tile = Rewriting { normals, pieces_at_once, ..Rewriting::default() };
             if (number as u64) < how.files_done {
-                // Tiles that are done are read all the same, for what they are compared with.
+                // Tiles that are done are read all the same, for the checks that compare them.
                 let nothing = Rewriting { pieces_done: u64::MAX, ..of_tile };
                 part.model.rewrite(&mut [], nothing, edit, progress)?;
                 continue;

@@ -1,6 +1,6 @@
-//! Writing long files past the operating system's page cache, where it lets us: what is written once and not
-//! soon read need not be copied into memory that other things could use. Bytes are collected, and whole
-//! blocks of them go to the disk as they are.
+//! Writing long files past the operating system's page cache, where the system allows it: bytes that are
+//! written once and not read soon need not be copied into memory that other things could use. Bytes are
+//! collected, and whole blocks of them go to the disk as they are.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -23,28 +23,28 @@ const BUFFER: usize = LARGE_PAGE;
 #[derive(Debug)]
 pub(crate) struct UncachedFile {
     disk: Disk,
-    /// What belongs to the file from `offset` on.
+    /// Bytes of the file from `offset` on.
     buffer: AlignedBuffer,
-    /// Where in the file the buffer belongs: a multiple of [`BLOCK`].
+    /// Byte of the file at which the buffer belongs: a multiple of [`BLOCK`].
     offset: u64,
-    /// Where it began.
+    /// Offset at which writing began.
     begin: u64,
     behind: Option<WriteBehind>,
 }
 
 impl UncachedFile {
-    /// From the beginning of an open file on.
+    /// Writer from the beginning of an open file on.
     pub(crate) fn new(file: File) -> Self {
         let disk = Disk { file, is_direct: true };
         Self { disk, buffer: AlignedBuffer::default(), offset: 0, begin: 0, behind: None }
     }
 
-    /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
+    /// The file, in which bytes written after the last [`flush`](Self::flush) may be missing.
     pub(crate) fn file(&self) -> &File {
         &self.disk.file
     }
 
-    /// Cuts the file off at `end`, and goes on there. What was not [flushed](Self::flush) is lost.
+    /// Cuts the file off at `end`, and goes on there. Bytes that were not [flushed](Self::flush) are lost.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -58,8 +58,8 @@ impl UncachedFile {
         self.disk.file.read_exact(self.buffer.take_room(of_block))
     }
 
-    /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. What was not
-    /// [flushed](Self::flush) is lost.
+    /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. Bytes that were not
+    /// [flushed](Self::flush) are lost.
     ///
     /// # Errors
     /// What was written before could not be.
@@ -69,7 +69,7 @@ impl UncachedFile {
         Ok(())
     }
 
-    /// Whether nothing was written since it was said where to [begin](Self::begin_at).
+    /// Whether nothing was written since the call of [`begin_at`](Self::begin_at).
     pub(crate) fn is_at_begin(&self) -> bool {
         self.buffer.filled == 0 && self.offset == self.begin
     }
@@ -102,13 +102,14 @@ impl UncachedFile {
             self.offset += whole as u64;
         }
         if self.buffer.filled > 0 {
-            // It stays here as well, and goes to the disk once more with the rest of its block.
+            // The rest of a block stays in the buffer as well, and goes to the disk once more with the whole
+            // block.
             self.disk.put(self.buffer.bytes(), self.offset)?;
         }
         Ok(())
     }
 
-    /// Has a full buffer written, and begins an empty one.
+    /// Hands a full buffer over to be written, and begins an empty one.
     fn hand_over(&mut self) -> io::Result<()> {
         if self.behind.is_none() {
             self.disk.write(self.buffer.bytes(), self.offset)?;
@@ -124,7 +125,7 @@ impl UncachedFile {
         Ok(())
     }
 
-    /// Waits until the thread has written what it was given.
+    /// Waits until the thread has written all that it was given.
     ///
     /// # Errors
     /// As of [`write`](Self::write).
@@ -139,7 +140,7 @@ struct AlignedBuffer {
     /// Empty until it is needed.
     memory: Vec<u8>,
     origin: usize,
-    /// So many bytes from `origin` on have a meaning.
+    /// Number of bytes from `origin` on that have a meaning.
     filled: usize,
 }
 
@@ -148,10 +149,10 @@ impl AlignedBuffer {
         &self.memory[self.origin..self.origin + self.filled]
     }
 
-    /// The next `count` bytes, for their values; no more than there is room for.
+    /// Room for the next `count` bytes, which have to fit into the buffer.
     fn take_room(&mut self, count: usize) -> &mut [u8] {
         if self.memory.is_empty() {
-            // Half of it, or nearly, is never touched.
+            // Half of the memory, or nearly, is never touched.
             self.memory = zeros(BUFFER + LARGE_PAGE);
             self.origin = self.memory.as_ptr().align_offset(LARGE_PAGE).min(LARGE_PAGE);
         }
@@ -160,7 +161,7 @@ impl AlignedBuffer {
         &mut self.memory[at..at + count]
     }
 
-    /// Puts what is behind the first `count` bytes to the front.
+    /// Moves the bytes behind the first `count` to the front.
     fn forget(&mut self, count: usize) {
         self.memory.copy_within(self.origin + count..self.origin + self.filled, self.origin);
         self.filled -= count;
@@ -171,7 +172,8 @@ impl AlignedBuffer {
 #[derive(Debug)]
 struct Disk {
     file: File,
-    /// Whether nothing tells yet that the file system has no way but through the page cache.
+    /// Whether writing past the page cache may be possible: nothing has shown yet that the file system
+    /// cannot.
     is_direct: bool,
 }
 
@@ -218,11 +220,11 @@ impl Disk {
     }
 }
 
-/// A thread that writes one full buffer after the other, so that who fills them does not wait for the disk.
-/// The thread and its owner never use the file at the same time, whose place and flags they share.
+/// Thread that writes one full buffer after the other, so that the owner does not wait for the disk. The
+/// thread and its owner never use the file, whose position and flags they share, at the same time.
 #[derive(Debug)]
 struct WriteBehind {
-    /// A buffer and where in the file it belongs; nothing once one could not be written.
+    /// Sender of a buffer and its place in the file; none once one could not be written.
     full: Option<SyncSender<(AlignedBuffer, u64)>>,
     /// The buffer that was written, empty again.
     empty: Receiver<io::Result<AlignedBuffer>>,
@@ -312,7 +314,7 @@ mod tests {
     enum Action {
         Write(usize),
         Flush,
-        /// Cut off at this part of what is there.
+        /// Cuts the file off at this part of its length.
         Back(f64),
     }
 

@@ -6,14 +6,14 @@ use crate::{Edited, Error, Scalar, VertexChunk};
 /// A coordinate that the file cannot hold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Unfit {
-    /// The vertex that has it, counted from the first of the chunk.
+    /// Vertex that has the coordinate, counted from the first of the chunk.
     pub(crate) vertex: usize,
     pub(crate) axis: usize,
     pub(crate) value: f64,
 }
 
 impl Unfit {
-    /// What is wrong where each finite number could be held; `first` is the first vertex of the chunk.
+    /// Error where the file could hold each finite number; `first` is the first vertex of the chunk.
     pub(crate) fn error(&self, source: &SourceFile, first: u64) -> Error {
         let (vertex, value, path) = (first + self.vertex as u64, self.value, source.path().display());
         Error::degenerate(
@@ -22,7 +22,7 @@ impl Unfit {
         )
     }
 
-    /// What is wrong where the file keeps floats.
+    /// Error where the file stores floats.
     pub(crate) fn in_floats(&self, source: &SourceFile, first: u64) -> Error {
         let (vertex, value, path) = (first + self.vertex as u64, self.value, source.path().display());
         if !value.is_finite() {
@@ -35,13 +35,14 @@ impl Unfit {
     }
 }
 
-/// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.
+/// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: the file keeps its
+/// own.
 #[inline(always)]
 pub(crate) fn same_normal(old: f32, new: f32) -> bool {
     old.to_bits() == new.to_bits() || (old.is_nan() && new.is_nan())
 }
 
-/// A coordinate of the position (0 to 2) or the normal (3 to 5) of a vertex of a chunk, of type `scalar` in
+/// New coordinate of the position (0 to 2) or the normal (3 to 5) of a vertex of a chunk, of type `scalar` in
 /// the file, if it was edited.
 #[inline(always)]
 pub(crate) fn new_component(

@@ -1,4 +1,5 @@
-//! Coordinate reference systems as well-known text, of OGC 01-009 or ISO 19162 (WKT 2): what is told of one.
+//! Coordinate reference systems as well-known text, of OGC 01-009 or ISO 19162 (WKT 2): their names and
+//! units.
 
 /// Nodes that are a system of which positions are.
 const SYSTEMS: [&str; 14] = [
@@ -26,17 +27,17 @@ const UNITS: [&str; 3] = ["UNIT", "LENGTHUNIT", "ANGLEUNIT"];
 /// Units that are told: there is one of the plane, and one of heights.
 const MOST_UNITS: usize = 4;
 
-/// Most nodes within each other; deeper ones are of none that matters here.
+/// Most nodes within each other; deeper ones belong to none that matters here.
 const DEEPEST: usize = 32;
 
-/// A text in one line, without what ends texts in files; `None` where nothing is left of it.
+/// A text in one line, without the characters that end texts in files; `None` where nothing is left of it.
 pub(crate) fn in_one_line(text: &str) -> Option<String> {
     let line = text.trim_matches(|c: char| c == '\0' || c.is_whitespace());
     let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
     (!line.is_empty()).then_some(line)
 }
 
-/// What a name is for people: no longer than that.
+/// Name as people are shown it: without control characters, of at most 200 characters.
 pub(crate) fn short(name: &str) -> Option<String> {
     let name: String = name.trim().chars().filter(|c| !c.is_control()).take(200).collect();
     (!name.is_empty()).then_some(name)
@@ -84,13 +85,13 @@ pub(crate) fn units(wkt: &str) -> Vec<String> {
     units
 }
 
-/// What [details](crate::Model::details) say of the units.
+/// Line on the units for [details](crate::Model::details).
 pub(crate) fn line_of_units(wkt: &str) -> Option<String> {
     let units = units(wkt);
     (!units.is_empty()).then(|| format!("unit: {}", units.join(", ")))
 }
 
-/// Whether what stands in these nodes, the innermost last, is of positions.
+/// Whether a value within these nodes, the innermost last, is about positions.
 fn is_of_positions(open: &[String]) -> bool {
     let around = if open.last().is_some_and(|last| last == "AXIS") { &open[..open.len() - 1] } else { open };
     let is = |keyword: &String, of: &[&str]| of.contains(&keyword.as_str());
@@ -124,7 +125,7 @@ mod tests {
         assert!(units("").is_empty() && units("UNIT[\"metre\",1]").is_empty());
     }
 
-    /// As texts are that people wrote, or other programs made readable.
+    /// Texts that people wrote, or other programs made readable, are read as all others.
     #[test]
     fn blanks_and_capitals_make_no_difference() {
         let spread = PLANE.replace('[', " [ ").replace(',', ",\n  ");

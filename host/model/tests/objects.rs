@@ -113,7 +113,7 @@ impl Upload for Begun {
     }
 }
 
-/// What an object holds, once it is there.
+/// Bytes of an object, if it is there.
 fn there(path: &Path) -> Option<Vec<u8>> {
     object::find(path).expect("a store").map(|object| {
         let mut bytes = vec![0; object.bytes() as usize];
@@ -146,7 +146,7 @@ proptest! {
         content().objects.remove("s3://bucket/parts");
         let mut bytes: Vec<u8> = (0..length).map(|i| (i * 31 % 251) as u8).collect();
         let mut begun = object::begin(path).unwrap();
-        // Some whole parts, in a row, are sent by somebody else.
+        // Some whole parts, in a row, are sent by another process.
         let from = length / part as usize / 3;
         let passed = from..(from + passed).min(length / part as usize);
         let mut tags = BTreeMap::new();
@@ -258,7 +258,7 @@ fn what_is_not_committed_leaves_nothing() {
     drop(output);
     assert!(!is_begun(path));
     assert_eq!(there(path), None);
-    // What others go on with stays.
+    // An upload that others go on with stays.
     let id = object::begin(path).unwrap().leave();
     drop(object::go_on(path, &id).unwrap());
     assert!(is_begun(path));

@@ -1,5 +1,5 @@
 //! Generates the amphora and draws it, streaming throughout:
-//! `cargo run --release -p simod-core --example render_amphora -- [FOLDER] [VERTICES]...`
+//! `cargo run --release -p simod-picture --example render_amphora -- [FOLDER] [VERTICES]...`
 #![allow(clippy::print_stdout, reason = "a program for people")]
 
 use std::error::Error;
@@ -40,7 +40,7 @@ fn main() -> std::result::Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A surface, and what a first pass over it tells.
+/// Surface, and the results of a first pass over it.
 struct Model<'a> {
     surface: &'a Surface,
     bounds: [DVec3; 2],

@@ -20,9 +20,9 @@ pub struct PictureCamera {
 }
 
 impl PictureCamera {
-    /// Looks at the middle of a box (its lowest and highest corners) so that it fills a picture of the given
-    /// aspect (width by height), from a direction: `yaw` turns to the right about +y from +z, `pitch` looks
-    /// down, in radians.
+    /// Camera that looks at the middle of a box (its lowest and highest corners) so that the box fills a
+    /// picture of the given aspect (width by height), from a direction: `yaw` turns to the right about +y
+    /// from +z, `pitch` looks down, in radians.
     pub fn frame(bounds: [DVec3; 2], yaw: f64, pitch: f64, aspect: f64) -> Self {
         let [low, high] = bounds;
         let target = 0.5 * (low + high);
@@ -59,8 +59,8 @@ impl PictureCamera {
         Self { position: target - forward * distance, right, up, forward, target, radius, tangents }
     }
 
-    /// This view of a part of the picture, from as far away: that around a point, or the middle, `part` as
-    /// wide and high as the whole.
+    /// Returns this view of a part of the picture, from as far away: the part around a point, or the middle,
+    /// `part` as wide and high as the whole.
     pub(super) fn crop(self, around: Option<DVec3>, part: f64) -> Self {
         let way = around.map_or(DVec3::ZERO, |point| point - self.target);
         let aside = way - way.dot(self.forward) * self.forward;
@@ -72,12 +72,12 @@ impl PictureCamera {
         self.position
     }
 
-    /// From the target to the eye.
+    /// Distance of the eye from the target.
     pub(super) fn distance(&self) -> f64 {
         self.position.distance(self.target)
     }
 
-    /// This view from so far away, where it was nearer by more than rounding.
+    /// Returns this view from this distance, where the view was nearer by more than rounding.
     pub(super) fn at_least(self, distance: f64) -> Self {
         if self.distance() >= distance * (1.0 - 1e-9) {
             return self;
@@ -85,8 +85,8 @@ impl PictureCamera {
         Self { position: self.target - self.forward * distance, ..self }
     }
 
-    /// Where a picture of the given size shows a point: pixels from the top left corner; none where the point
-    /// is not before the camera.
+    /// Position of a point in a picture of the given size: pixels from the top left corner; none where the
+    /// point is not before the camera.
     pub fn project(&self, p: DVec3, width: u32, height: u32) -> Option<[f32; 2]> {
         let (lens, view) = (self.lens(width, height), self.to_view(p));
         (view.is_finite() && view.z > lens.near).then(|| lens.project(view))
@@ -135,7 +135,7 @@ pub(super) struct Lens {
     pub center: [f32; 2],
     /// Pixels per unit at distance 1.
     pub scale: [f32; 2],
-    /// One over the scale: rays are asked for more often than anything else.
+    /// Inverse of the scale: rays are asked for more often than anything else.
     inverse: [f32; 2],
     /// Nearer points are not drawn.
     pub near: f32,

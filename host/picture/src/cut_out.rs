@@ -16,8 +16,9 @@ pub struct CutOut {
 }
 
 impl CutOut {
-    /// What is before the background of two pictures, which is black in one and white in the other; nothing
-    /// where they are not of one size. Borders that were averaged in linear light are exact but for rounding.
+    /// Cuts the foreground out of two pictures that differ in their background, which is black in one and
+    /// white in the other; none where they are not of one size. Borders that were averaged in linear light
+    /// are exact but for rounding.
     pub fn from_backgrounds(black: &Image, white: &Image) -> Option<Self> {
         let (width, height) = (black.width(), black.height());
         let same = (width, height) == (white.width(), white.height());
@@ -55,7 +56,7 @@ fn pixel(black: [u8; 3], white: [u8; 3]) -> [u8; 4] {
         return [black[0], black[1], black[2], 255];
     }
     let (black, white) = (black.map(linear), white.map(linear));
-    // As all channels hide alike, their mean rounds least.
+    // The mean of the channels, which all hide alike, rounds least.
     let seen_through = (0..3).map(|i| white[i] - black[i]).sum::<f32>() / 3.0;
     let opacity = (1.0 - seen_through).clamp(0.0, 1.0);
     if opacity < 0.5 / 255.0 {
@@ -65,7 +66,7 @@ fn pixel(black: [u8; 3], white: [u8; 3]) -> [u8; 4] {
     [r, g, b, (255.0 * opacity).round() as u8]
 }
 
-/// Between values of the sRGB standard (IEC 61966-2-1) and linear ones.
+/// Linear value of a byte of the sRGB standard (IEC 61966-2-1).
 fn linear(c: u8) -> f32 {
     let c = f32::from(c) / 255.0;
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }

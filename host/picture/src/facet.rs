@@ -19,21 +19,21 @@ const LEAST_WEIGHT: f32 = 1e-4;
 
 /// A triangle in the picture.
 struct PictureTriangle {
-    /// Where the corners are shown: as far outside as they like.
+    /// Positions of the corners in the picture, in samples; they may be far outside it.
     corners: [DVec2; 3],
-    /// One over twice the area, in samples; of either sign, and infinite where there is none.
+    /// Inverse of twice the area, in samples; of either sign, and infinite where there is no area.
     by_area: f64,
-    /// One over the corners' depths.
+    /// Inverses of the corners' depths.
     inverse: [f32; 3],
     normals: [Vec3; 3],
     colors: [Vec3; 3],
-    /// How far two depths of one surface may be from each other at a sample, for each unit of depth.
+    /// Largest distance of two depths of one surface from each other at a sample, for each unit of depth.
     slack: f32,
     weight: f32,
-    /// The samples within its box: columns and rows, each from the first to beyond the last.
+    /// Samples within the triangle's box: columns and rows, each from the first to beyond the last.
     columns: [usize; 2],
     rows: [usize; 2],
-    /// The sample that it shows at though it covers no middle.
+    /// Sample at which the triangle is shown though it covers no sample's middle.
     only: Option<[usize; 2]>,
 }
 
@@ -46,7 +46,7 @@ fn touched(low: f64, high: f64, count: usize) -> Option<[usize; 2]> {
 /// The normal of a triangle on the side that is seen, and its slope, in depths for each width.
 fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let face = (b - a).cross(c - a);
-    // Of a triangle without an area, any side will do: that towards the eye.
+    // A triangle without an area has no side: any will do, such as that towards the eye.
     let face = face.try_normalize().unwrap_or_else(|| -a.normalize_or_zero());
     let middle = (a + b + c) / 3.0;
     let face = if face.dot(middle) > 0.0 { -face } else { face };
@@ -56,7 +56,8 @@ fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
 }
 
 impl PictureTriangle {
-    /// None for what is out of the picture of the given size, or has a corner that is not before the camera.
+    /// Triangle in a picture of the given size; none if it is outside, or has a corner that is not before the
+    /// camera.
     fn new(
         camera: &PictureCamera,
         lens: &Lens,
@@ -111,9 +112,9 @@ impl PictureTriangle {
         (self.rows[0]..self.rows[1]).any(|y| (left..right).any(|x| self.shares(x, y).is_some()))
     }
 
-    /// How much each corner has of a sample's middle, as the picture shows it; none where it is outside. The
-    /// sides belong to both triangles there, and a little more than that, so that nothing shines through
-    /// between.
+    /// Barycentric coordinates of a sample's middle in the triangle, as the picture shows it; none where the
+    /// middle is outside. The sides belong to both triangles there, and a little more than that, so that
+    /// nothing shines through between.
     #[inline]
     fn shares(&self, x: usize, y: usize) -> Option<[f32; 3]> {
         const SLACK: f64 = -1e-7;
@@ -133,7 +134,7 @@ impl PictureTriangle {
         (depth, parts.map(|part| part * depth))
     }
 
-    /// Calls `hit` for each sample of some rows at which it shows, by its column and row.
+    /// Calls `hit` for each sample of some rows at which the triangle is shown, with its column and row.
     #[inline]
     fn visit(&self, [first, last]: [usize; 2], mut hit: impl FnMut(usize, usize, f32, [f32; 3])) {
         if let Some([x, y]) = self.only {
@@ -185,7 +186,7 @@ impl TriangleRaster {
         self.draw(canvas, camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
     }
 
-    /// Second pass: what lies on the nearest surface.
+    /// Second pass: blends the triangles on the nearest surface.
     pub fn blend(
         &mut self,
         canvas: &mut SplatBuffer,

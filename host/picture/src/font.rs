@@ -2,7 +2,7 @@
 
 /// Height of a line at scale 1.
 pub(super) const HEIGHT: u32 = 7;
-/// From one glyph to the next, at scale 1.
+/// Distance from one glyph to the next, at scale 1.
 const ADVANCE: u32 = 6;
 
 /// Width of a text.

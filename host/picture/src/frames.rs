@@ -62,7 +62,7 @@ impl FrameFolder {
     }
 }
 
-/// Whether nothing is at a place that would be lost.
+/// Checks that nothing is at a place that would be lost.
 fn check(target: &Path) -> Result<()> {
     let Ok(meta) = target.symlink_metadata() else { return Ok(()) };
     let refused = |what: String| {

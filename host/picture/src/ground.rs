@@ -48,7 +48,7 @@ impl Ground {
 
     fn add_place(&mut self, p: DVec3) {
         let above = p.y - self.height;
-        // Nor is what has no finite height.
+        // A place without a finite height casts no shadow, either.
         if !(above >= 0.0 && p.is_finite()) {
             return;
         }
@@ -74,7 +74,7 @@ impl Ground {
         self
     }
 
-    /// How dark the ground is at a point of it, from 0 to 1.
+    /// Darkness of the ground at a point of it, from 0 to 1.
     pub fn shadow(&self, p: DVec3) -> f32 {
         let x = (p.x - self.corner.x) / self.cell - 0.5;
         let z = (p.z - self.corner.z) / self.cell - 0.5;

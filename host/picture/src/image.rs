@@ -6,7 +6,7 @@ use simod_model::{Error, Result};
 
 use super::font;
 
-/// Colours of what is written.
+/// Colours of captions and their background.
 const PAPER: [u8; 3] = [244, 244, 242];
 const INK: [u8; 3] = [40, 40, 44];
 
@@ -26,7 +26,7 @@ impl Image {
         Self { width, height, pixels: vec![color; width as usize * height as usize] }
     }
 
-    /// A picture of given pixels, row by row from the top; none where they are not as many as its size says.
+    /// Picture of given pixels, row by row from the top; none where their number does not fit the size.
     pub fn from_pixels(width: u32, height: u32, pixels: Vec<[u8; 3]>) -> Option<Self> {
         let fits = width > 0 && height > 0 && pixels.len() as u64 == u64::from(width) * u64::from(height);
         fits.then_some(Self { width, height, pixels })
@@ -75,8 +75,8 @@ impl Image {
         encode(self.width, self.height, png::ColorType::Rgb, self.pixels.as_flattened())
     }
 
-    /// Pictures in a row, each with its caption below. Captions are drawn in capitals; what the font does not
-    /// have stays empty.
+    /// Pictures in a row, each with its caption below. Captions are drawn in capitals; characters that the
+    /// font does not have stay empty.
     pub fn side_by_side(pictures: &[(&Image, &str)]) -> Self {
         const GAP: u32 = 12;
         // Captions fit the narrowest picture that has one, but stay legible.
@@ -100,8 +100,8 @@ impl Image {
         montage
     }
 
-    /// The picture above a bar of the colours from 0 to 1, with a label below its left end and its right one.
-    /// What the font does not have stays empty.
+    /// Picture above a bar of the colours from 0 to 1, with a label below its left end and its right one.
+    /// Characters that the font does not have stay empty.
     pub fn with_scale(&self, color: impl Fn(f32) -> [u8; 3], labels: [&str; 2]) -> Self {
         const GAP: u32 = 12;
         let bar = [self.width.saturating_sub(2 * GAP).max(2), 10];
@@ -147,7 +147,7 @@ pub(crate) fn encode(width: u32, height: u32, color: png::ColorType, pixels: &[u
     Ok(bytes)
 }
 
-/// From linear to 8-bit sRGB, with the brightest parts rolled off instead of cut.
+/// Byte of 8-bit sRGB for a linear value, with the brightest parts rolled off instead of cut.
 fn srgb(x: f32) -> u8 {
     const KNEE: f32 = 0.8;
     let x = x.max(0.0);

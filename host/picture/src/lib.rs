@@ -3,7 +3,7 @@
 //! Points are streamed twice, as oriented discs (M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface
 //! Splatting*, SIGGRAPH 2001; the two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt,
 //! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005): first for the depth of the nearest surface,
-//! then to blend what lies on it. Triangles are drawn in the same two passes. Memory grows with the picture
+//! then to blend the points on it. Triangles are drawn in the same two passes. Memory grows with the picture
 //! alone. The same points in the same order give the same picture, bit by bit, for any number of threads:
 //! each band of the picture takes them in order.
 //!
@@ -97,8 +97,8 @@ impl Renderer {
         rayon::join(|| canvas.depth(camera, points, axes), shadow);
     }
 
-    /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
-    /// first pass does not show.
+    /// Second pass: blends normals and colours of the points on the nearest surface. Points that were not in
+    /// the first pass are not shown.
     pub fn blend(&mut self, points: &[SurfaceDisc]) {
         self.blend_of(points, &[]);
     }
@@ -114,9 +114,9 @@ impl Renderer {
         self.canvas.blend_both(&self.camera, points, others);
     }
 
-    /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius
-    /// does not count. Each corner without a normal has that of its triangle. A triangle is seen from either
-    /// side; one with a corner that is not finite, or not before the camera, is left out.
+    /// The first pass of triangles, whose corners' normals and colours are mixed; the radii of corners do not
+    /// count. Each corner without a normal has that of its triangle. A triangle is seen from either side; one
+    /// with a corner that is not finite, or not before the camera, is left out.
     pub fn depth_of_triangles(&mut self, triangles: &[[SurfaceDisc; 3]]) {
         self.facets.depth(&mut self.canvas, &self.camera, triangles);
         if let Some(ground) = &mut self.ground {

@@ -18,22 +18,23 @@ use super::{Renderer, Spacing, SurfaceDisc};
 /// Bytes of vertices that are held in memory; more than that are in a file.
 const HELD: u64 = 64 << 20;
 
-/// What to do where the disk has no room.
+/// Advice where the disk has no room.
 const ADVICE: &str = "draw the vertices alone, with --points";
 
 /// The cosine of an angle beyond which two directions are on both sides of a crease.
 const CREASE: f32 = 0.7;
 
-/// What is kept of a vertex.
+/// Vertex as it is kept for drawing.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct VertexRecord {
-    /// From the middle of the bounds; not finite where the vertex is not.
+    /// Position from the middle of the bounds; not finite where the vertex has none.
     position: [f32; 3],
-    /// As the model has it; or else the sum of the triangles' around it, by their areas.
+    /// Normal of the model; or else the sum of the normals of the triangles around the vertex, by their
+    /// areas.
     normal: [f32; 3],
     color: [u8; 3],
-    /// A triangle has it.
+    /// 1 if a triangle has the vertex.
     used: u8,
 }
 
@@ -60,8 +61,8 @@ impl VertexRecords {
     }
 }
 
-/// Whether points that no triangle has are drawn: where they are a tenth of all, or more. A few are strays,
-/// which as discs on a surface would be flaws.
+/// Whether points that no triangle has are drawn: they are, where they are a tenth of all points, or more.
+/// Fewer are strays, which as discs on a surface would be flaws.
 pub(super) fn are_many(alone: usize, all: usize) -> bool {
     alone > 0 && alone >= all.div_ceil(10)
 }
@@ -75,7 +76,7 @@ pub(super) struct DrawnMesh<'a> {
     spacing: Spacing,
     /// Normals were found by the triangles.
     derived: bool,
-    /// There are many vertices that no triangle has.
+    /// Whether there are many vertices that no triangle has.
     with_points: bool,
 }
 
@@ -137,7 +138,7 @@ impl<'a> DrawnMesh<'a> {
         Ok(this)
     }
 
-    /// Finds out which vertices are of triangles, and their normals where the model has none.
+    /// Finds out which vertices triangles have, and their normals where the model has none.
     fn go_round(&mut self, progress: &dyn Progress) -> Result<()> {
         progress.begin("drawing", self.model.info().face_bytes);
         let (records, derived) = (self.records.all_mut(), self.derived);
@@ -221,7 +222,7 @@ impl<'a> DrawnMesh<'a> {
     }
 
     fn triangle(&self, records: &[VertexRecord], triangle: [u32; 3], up: UpAxis) -> [SurfaceDisc; 3] {
-        // Where there is no vertex, there is no finite position.
+        // An index without a vertex gets a corner without a finite position.
         let nowhere = VertexRecord { position: [f32::NAN; 3], ..VertexRecord::zeroed() };
         let mut corners = triangle.map(|i| self.point(records.get(i as usize).unwrap_or(&nowhere), up));
         if self.derived {
@@ -231,7 +232,7 @@ impl<'a> DrawnMesh<'a> {
     }
 }
 
-/// A corner at which the surface is creased has the normal of its triangle.
+/// Gives corners at which the surface is creased the normal of their triangle.
 fn at_creases(corners: &mut [SurfaceDisc; 3]) {
     let [a, b, c] = corners.map(|corner| corner.position);
     let Some(face) = (b - a).cross(c - a).as_vec3().try_normalize() else { return };

@@ -9,13 +9,13 @@ use super::palette::{class_color, scale_color};
 /// The colour of a vertex: of its number in these parts of models that are read in step.
 pub type PaintBy<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
 
-/// How vertices are painted: of so many of the first attributes.
+/// Number of the first attributes that the painting of vertices needs, and the painting; none for plain clay.
 pub(super) type Painted<'a> = Option<(usize, &'a PaintBy<'a>)>;
 
-/// What points are coloured by.
+/// Source of the points' colours.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Coloring {
-    /// All alike.
+    /// No source: all points look alike.
     Clay,
     /// The vertices' own colours.
     Own(Colors),
@@ -26,7 +26,7 @@ pub enum Coloring {
 /// Colours of points, by their numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Paint {
-    /// All alike.
+    /// All points look alike.
     Clay,
     /// The vertices' own colours, whose numbers mean this.
     Own(Colors, ColorScale),
@@ -45,17 +45,17 @@ pub enum Paint {
         place: usize,
         /// The attribute's name.
         name: String,
-        /// What its ends stand for.
+        /// Numbers at the ends of the scale.
         range: [f64; 2],
     },
 }
 
 impl Coloring {
-    /// What the user calls so: `own`, `clay`, or an attribute by its name; where nothing is said, their own
-    /// colours if points with such attributes have any.
+    /// Returns the colouring that the user names: `own`, `clay`, or an attribute by its name; without a name,
+    /// the points' own colours if points with such attributes have any.
     ///
     /// # Errors
-    /// There are none, or there is no such attribute.
+    /// The points have no colours of their own, or no such attribute.
     pub fn choose<'a>(
         word: Option<&str>,
         attributes: impl IntoIterator<Item = &'a Attribute>,
@@ -84,7 +84,7 @@ impl Coloring {
         }
     }
 
-    /// Where the numbers are that have to be known.
+    /// Places of the attributes whose numbers have to be known.
     fn places(&self) -> &[usize] {
         match self {
             Self::Clay => &[],
@@ -146,12 +146,12 @@ impl Paint {
         }
     }
 
-    /// Whether not all points look alike.
+    /// Whether points are coloured, instead of looking all alike.
     pub fn is_colored(&self) -> bool {
         *self != Self::Clay
     }
 
-    /// How many of the first attributes [`color`](Self::color) asks for.
+    /// Number of the first attributes that [`color`](Self::color) asks for.
     pub fn count(&self) -> usize {
         match self {
             Self::Clay => 0,
@@ -160,8 +160,8 @@ impl Paint {
         }
     }
 
-    /// The colour of a point, 8-bit sRGB, by its attribute at each place; nothing of points that are all
-    /// alike.
+    /// Colour of a point, 8-bit sRGB, by its attribute at each place; attributes do not matter where all
+    /// points are alike.
     #[inline]
     pub fn color(&self, attribute: impl Fn(usize) -> f64) -> [u8; 3] {
         match self {
@@ -172,7 +172,7 @@ impl Paint {
         }
     }
 
-    /// What the attribute is called whose numbers are shown, and what the ends of the legend stand for.
+    /// Name of the attribute whose numbers are shown, and the numbers at the ends of the legend.
     pub fn legend(&self) -> Option<(&str, [f64; 2])> {
         match self {
             Self::Clay | Self::Own(..) => None,
@@ -180,7 +180,7 @@ impl Paint {
         }
     }
 
-    /// A picture with what its colours mean below it.
+    /// Returns a picture with a legend of its colours below it.
     pub fn with_legend(&self, image: &Image) -> Image {
         let Some((name, [from, to])) = self.legend() else { return image.clone() };
         let color = |t: f32| match self {
@@ -192,12 +192,13 @@ impl Paint {
     }
 }
 
-/// Where a number lies between two others, 0 to 1.
+/// Part of the way from one number to another at which a number lies, 0 to 1.
 fn part([from, to]: [f64; 2], x: f64) -> f32 {
     if to > from { ((x - from) / (to - from)) as f32 } else { 0.0 }
 }
 
-/// Whole numbers, which doubles hold, as they are; others with four digits at most.
+/// Text of a number: whole numbers, which double precision holds, as they are; others with four digits at
+/// most.
 fn short(x: f64) -> String {
     if x.fract() == 0.0 && x.abs() < 1e15 {
         return format!("{x}");
@@ -211,7 +212,7 @@ struct NumberSurvey {
     least: f64,
     most: f64,
     some: Vec<f64>,
-    /// One of so many is among these.
+    /// Step of the survey: one of so many numbers is kept.
     stride: u64,
     count: u64,
 }

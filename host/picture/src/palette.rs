@@ -1,6 +1,6 @@
 //! Colours that stand for numbers.
 
-/// From the least to the largest number: light to dark, so that they are told apart in print and by
+/// Colours from the least to the largest number: light to dark, so that they are told apart in print and by
 /// everybody.
 const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
@@ -36,7 +36,7 @@ pub fn scale_color(t: f32) -> [u8; 3] {
     let part = x - i as f32;
     std::array::from_fn(|c| {
         let (from, to) = (f32::from(SCALE[i][c]), f32::from(SCALE[i + 1][c]));
-        // As `round` does it, which calls a library for each.
+        // Rounding as `round` does, which calls a library for each number.
         (from + (to - from) * part + 0.5) as u8
     })
 }
@@ -47,7 +47,7 @@ pub fn class_color(class: u8) -> [u8; 3] {
     CLASSES[usize::from(class) % CLASSES.len()].0
 }
 
-/// What the specification calls a class, if it does.
+/// Name of a class in the specification, if it has one.
 pub fn class_name(class: u8) -> Option<&'static str> {
     CLASSES.get(usize::from(class)).map(|(_, name)| *name)
 }

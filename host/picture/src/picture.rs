@@ -19,7 +19,8 @@ use super::{Image, Paint, PictureCamera, Spacing, SurfaceDisc};
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
 
-/// How much wider discs are of points that were chosen by chance: there is more room between some of them.
+/// Factor by which discs of points that were chosen by chance are wider: there is more room between some of
+/// them.
 const UNEVEN: f32 = 1.5;
 
 /// Takes the pictures of a turn, one after the other.
@@ -37,7 +38,7 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
     Ok(bounds)
 }
 
-/// A model's vertices are drawn, or its faces.
+/// Part of a model that is drawn: its vertices, or its faces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Drawn<'a> {
     /// Vertices alone, as discs.
@@ -66,9 +67,9 @@ pub fn of_model(
     })
 }
 
-/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one or two streams
-/// more than two for each picture. It stands as far back for all as some of them need; the first is that of
-/// [`of_model`] if it is one of these.
+/// Draws a model as [`of_model`] does, so many times while the camera goes once round the vertical axis, in
+/// one or two streams more than two for each picture. The camera stands as far back for all pictures as some
+/// of them need; the first picture is that of [`of_model`] if it is one of these.
 ///
 /// # Errors
 /// As of [`of_model`]; `frame` refuses a picture.
@@ -88,8 +89,8 @@ pub fn turn_of_model(
     })
 }
 
-/// As [`of_model`], for the first of several models that are read [in step](in_step), a picture of each view:
-/// `paint` gives its vertices' colours, and may ask for so many of its first attributes.
+/// Draws as [`of_model`] does the first of several models that are read [in step](in_step), one picture for
+/// each view: `paint` gives its vertices' colours, and may ask for so many of its first attributes.
 ///
 /// # Errors
 /// As of [`of_model`]; models differ in their number of vertices.
@@ -112,7 +113,7 @@ fn with_paint<T>(paint: &Paint, draw: impl FnOnce(Painted<'_>) -> Result<T>) -> 
     draw(paint.is_colored().then_some((paint.count(), &by_attributes)))
 }
 
-/// What is drawn, from wherever.
+/// Model that is drawn, from any place.
 enum ShownModel<'a> {
     Mesh(Box<DrawnMesh<'a>>, bool),
     Points(&'a [&'a dyn Model], Spacing, Painted<'a>),
@@ -153,7 +154,7 @@ fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Resul
     Ok(spacing)
 }
 
-/// Draws points, and the half axes of those that are ellipses.
+/// Function that draws points, and the half axes of those that are ellipses.
 type PointDrawing<'a> = dyn FnMut(&[SurfaceDisc], &[[Vec3; 2]]) + 'a;
 
 fn draw(
@@ -203,13 +204,12 @@ fn draw(
     Ok(renderer.finish())
 }
 
-/// A colour for each of some points, by their numbers.
+/// Function that gives the colour of a point by its number.
 pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
 
 /// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their
 /// numbers, in the model's axes; in one colouring, and if it is wanted in another one, which takes little
-/// more. Of what it says of their radii and colours nothing counts: discs cover the surface by how many there
-/// are.
+/// more. The radii and colours that `point` gives do not count: discs cover the surface by their number.
 ///
 /// Memory: besides the picture's, 4 bytes for each point.
 ///
@@ -276,15 +276,15 @@ pub fn of_samples(
     DrawnSamples::new(sampled, (positions, normals), view, colors, true).draw(view, view.camera())
 }
 
-/// As [`of_samples`] of those at rest, each as a disc, whether there are triangles or not.
+/// Draws samples at rest as [`of_samples`] does, each as a disc, whether there are triangles or not.
 pub fn of_discs(sampled: &SampledModel, view: &PictureView, colors: Option<&[[u8; 3]]>) -> Image {
     let samples = &sampled.samples;
     let shape = (&samples.positions[..], samples.normals());
     DrawnSamples::new(sampled, shape, view, colors, false).draw(view, view.camera())
 }
 
-/// As [`of_samples`] of those at rest, or [`of_discs`] where no triangles are wanted, so many times while the
-/// camera goes once round the vertical axis; see [`turn_of_model`].
+/// Draws samples at rest as [`of_samples`] does, or as [`of_discs`] does where no triangles are wanted, so
+/// many times while the camera goes once round the vertical axis; see [`turn_of_model`].
 ///
 /// # Errors
 /// `frame` refuses a picture; the user cancelled.

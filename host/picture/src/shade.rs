@@ -17,7 +17,7 @@ const CLAY: Vec3 = Vec3::new(0.56, 0.51, 0.46);
 const OCCLUSION_SAMPLES: usize = 28;
 /// Side of the square of neighbouring samples that share the work, and are averaged afterwards.
 const OCCLUSION_TILE: usize = 4;
-/// How far the occlusion reaches, as a share of the model's radius.
+/// Reach of the occlusion, as a share of the model's radius.
 const OCCLUSION_REACH: f32 = 0.13;
 
 /// Lights all samples, in each of some colours of theirs; linear colours, row by row.
@@ -112,9 +112,9 @@ impl SeenSurface {
         if normal.dot(here) > 0.0 { -normal } else { normal }
     }
 
-    /// How much light of the surroundings each sample gets, from 0 to 1: what rises above its tangent plane
-    /// nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance Algorithm*,
-    /// HPG 2011), on a spiral that is turned from sample to sample.
+    /// Light of the surroundings that each sample gets, from 0 to 1: surface that rises above the sample's
+    /// tangent plane nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance
+    /// Algorithm*, HPG 2011), on a spiral that is turned from sample to sample.
     fn occlusion(&self, reach: f32) -> Vec<f32> {
         let spirals = spirals();
         (0..self.depths.len())
@@ -130,13 +130,13 @@ impl SeenSurface {
                 for [dx, dy, share] in &spirals[turn] {
                     let radius = 1.0 + pixels * share;
                     let (sx, sy) = (x as f32 + radius * dx, y as f32 + radius * dy);
-                    // As `round` does it, which calls a library for each.
+                    // Rounding as `round` does, which calls a library for each number.
                     let [sx, sy] = [sx, sy].map(|s| (s + if s < 0.0 { -0.5 } else { 0.5 }) as isize);
                     if let Some(there) = self.point(sx, sy) {
                         let way = there - here;
                         let distance = way.length();
                         if distance > 0.0 {
-                            // What is far away in depth hides nothing here.
+                            // Surface that is far away in depth hides nothing here.
                             let near = (1.0 - distance / (1.5 * reach)).max(0.0);
                             sum += (normal.dot(way) / distance - 0.06).max(0.0) * near;
                         }
@@ -147,7 +147,7 @@ impl SeenSurface {
             .collect()
     }
 
-    /// The mean over the samples of a tile around each one that lie on its surface.
+    /// Mean of the values over the samples of a tile around each sample that lie on its surface.
     fn blurred(&self, values: &[f32]) -> Vec<f32> {
         const BEFORE: usize = OCCLUSION_TILE / 2;
         (0..values.len())
@@ -227,7 +227,7 @@ fn background(
     if t > 0.0 && t.is_finite() { paper * (1.0 - ground.shadow(eye + way * t)) } else { paper }
 }
 
-/// From sRGB to linear, near enough for a picture's own colours.
+/// Linear value of an sRGB colour, near enough for a picture's own colours.
 fn linear(srgb: Vec3) -> Vec3 {
     srgb.map(|c| c * (c * (c * 0.305_306_02 + 0.682_171_1) + 0.012_522_88))
 }

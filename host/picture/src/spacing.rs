@@ -1,4 +1,4 @@
-//! How far apart the points of a model are, from place to place.
+//! Spacing of a model's points, from place to place.
 
 use std::sync::OnceLock;
 
@@ -13,14 +13,14 @@ const CELLS: f64 = 128.0;
 /// Scans are irregular, and their points come in any order, so neither the extent and the count nor the
 /// distance of consecutive points tells the spacing. The count does, in a block of 3 x 3 x 3 cells, by the
 /// area of the surface there. A plane along the grid meets 9 of the cells, and its area is that of 9 faces of
-/// cells; in the mean over all orientations it meets 3/2 cells per such area. So does whatever is folded
-/// more, roughly.
+/// cells; in the mean over all orientations it meets 3/2 cells per such area. So does a surface that is
+/// folded more, roughly.
 pub struct Spacing {
     origin: DVec3,
     cell: f64,
     size: IVec3,
     counts: Vec<u32>,
-    /// The discs' radius in each cell that has points, once somebody asks: 4 bytes for each cell.
+    /// Radii of the discs in each cell that has points, once they are asked for: 4 bytes for each cell.
     radii: OnceLock<Vec<f32>>,
 }
 
@@ -80,8 +80,8 @@ impl Spacing {
 
     fn cell_of(&self, position: DVec3) -> Option<IVec3> {
         let place = (position - self.origin) / self.cell;
-        // As `floor` does it, which calls a library for each coordinate; what is far off is outside all the
-        // same.
+        // Rounding as `floor` does, which calls a library for each coordinate; points that are far off are
+        // outside all the same.
         let cell = place.as_ivec3();
         place.is_finite().then(|| {
             cell.saturating_sub(IVec3::select(cell.as_dvec3().cmpgt(place), IVec3::ONE, IVec3::ZERO))

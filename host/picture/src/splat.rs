@@ -10,7 +10,7 @@ use super::camera::{Lens, PictureCamera};
 pub(super) const BAND: usize = 64;
 /// Points projected at a time: the bound of the buffer of splats.
 pub(super) const BATCH: usize = 1 << 16;
-/// A splat reaches at least so many pixels around its middle, so that none falls between samples.
+/// Least reach of a splat in pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
 /// Shares of their radius to which discs seen from the front and from the back hide what is behind them;
 /// farther out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface,
@@ -19,8 +19,8 @@ const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
-/// What the picture shows at each sample, before it is lit. Splats are always drawn by the same memory: to
-/// get it anew takes the system longer than to fill it.
+/// Surface that the picture shows at each sample, before it is lit. Splats are always drawn by the same
+/// memory: to get it anew takes the system longer than to fill it.
 ///
 /// Memory: 48 bytes for each sample, and some 130 for each splat of a batch, 8 MB at most.
 pub(super) struct SplatBuffer {
@@ -55,19 +55,19 @@ impl Pixel {
         weight: 0.0,
     };
 
-    /// A surface hides what is farther.
+    /// Notes a surface at a depth, which hides all that is farther.
     #[inline]
     pub fn come_near(&mut self, depth: f32) {
         self.nearest = self.nearest.min(depth);
     }
 
-    /// Whether a depth is that of the nearest surface, or no farther behind it than so.
+    /// Whether a depth is that of the nearest surface, or behind it by no more than `behind`.
     #[inline]
     pub fn is_near(&self, depth: f32, behind: f32) -> bool {
         self.nearest.is_finite() && depth <= self.nearest + behind
     }
 
-    /// Adds to what lies on the nearest surface.
+    /// Adds a splat on the nearest surface.
     #[inline]
     pub fn blend(&mut self, weight: f32, depth: f32, normal: Vec3, color: Vec3) {
         self.weight += weight;
@@ -103,32 +103,32 @@ struct ViewSplat {
     /// Unit normal towards the eye; zero where it is not known.
     normal: Vec3,
     color: Vec3,
-    /// In another picture of the same.
+    /// Colour in another picture of the same discs.
     other: Vec3,
     radius: f32,
-    /// The half axes of an ellipse, over the squares of their lengths.
+    /// Half axes of an ellipse, over the squares of their lengths.
     axes: Option<[Vec3; 2]>,
-    /// Least weight with which it hides what is behind it.
+    /// Least weight with which the splat hides what is behind it.
     hiding: f32,
     from_back: bool,
     pixel: [f32; 2],
-    /// Pixels that it reaches around its middle.
+    /// Reach of the splat in pixels around its middle.
     reach: f32,
     /// The samples that are drawn: columns and rows, each from the first to beyond the last.
     columns: [usize; 2],
     rows: [usize; 2],
 }
 
-/// How much of splats is drawn.
+/// Part of the splats that is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum SplatDetail {
-    /// What hides what is behind it, in any order.
+    /// The part that hides what is behind it, drawn in any order.
     Hiding,
     All,
 }
 
 impl ViewSplat {
-    /// None for what is out of the picture of the given size, or no disc at all.
+    /// Splat in a picture of the given size; none if the point is outside, or is no disc at all.
     fn new(
         (camera, lens): (&PictureCamera, &Lens),
         (size, drawn): ([usize; 2], SplatDetail),
@@ -180,7 +180,7 @@ impl ViewSplat {
         })
     }
 
-    /// The least depth that any of it has.
+    /// Least depth of any point of the splat.
     #[inline]
     fn least_depth(&self) -> f32 {
         self.center.z - self.radius
@@ -209,9 +209,9 @@ impl ViewSplat {
     }
 }
 
-/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a
-/// share of its radius: a point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the
-/// middle.
+/// Distance from a disc's middle, on the picture's plane, up to which the disc, in view coordinates, is seen
+/// within a share of its radius: a point that is off by w, at a depth of z, lies within |w| |c| / z, where c
+/// is the middle.
 fn hiding_reach(center: Vec3, radius: f32, share: f32) -> f32 {
     const ROUNDING: f32 = 1.01;
     let nearest = center.z - share * radius;
@@ -254,7 +254,7 @@ impl SplatBuffer {
         );
     }
 
-    /// Second pass: what lies on the nearest surface.
+    /// Second pass: blends the splats on the nearest surface.
     pub fn blend(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
         self.draw(
@@ -314,7 +314,7 @@ impl SplatBuffer {
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];
                         for (x, pixel) in (left..right).zip(&mut row[left..right]) {
-                            // Of what is hidden no more has to be known.
+                            // A hidden splat needs no further work.
                             if !may_show(pixel, splat) {
                                 continue;
                             }
@@ -327,7 +327,7 @@ impl SplatBuffer {
                     }
                 };
                 match drawn {
-                    // What is seen from the front hides most of what is not.
+                    // Discs that are seen from the front hide most of those that are not.
                     SplatDetail::Hiding => {
                         all().filter(|splat| !splat.from_back).for_each(&mut show);
                         all().filter(|splat| splat.from_back).for_each(show);
@@ -339,9 +339,9 @@ impl SplatBuffer {
     }
 }
 
-/// The things of a batch that each band of a picture shows, in their order.
+/// Index of the things of a batch that each band of a picture shows, in their order.
 ///
-/// Memory: 4 bytes for each band that one is in.
+/// Memory: 4 bytes for each band that a thing is in.
 #[derive(Default)]
 pub(super) struct Bands {
     starts: Vec<u32>,
@@ -395,7 +395,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// What the first pass leaves out, and the order in which it draws, changes nothing.
+    /// The discs that the first pass leaves out, and the order in which it draws, change nothing.
     #[test]
     fn the_nearest_surface_is_that_of_whole_discs_in_any_order() {
         let number = |i: u32, k: f64| (f64::from(i) * k).sin();
@@ -403,7 +403,7 @@ mod tests {
             let camera = PictureCamera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], yaw, 0.4, 1.5);
             let point = |i: u32| SurfaceDisc {
                 position: DVec3::new(number(i, 1.7), number(i, 2.9), number(i, 5.3)),
-                // Some have none.
+                // Some points have no normal.
                 normal: Vec3::new(number(i, 3.1) as f32, number(i, 7.7) as f32, number(i, 0.9) as f32)
                     * f32::from(u8::from(!i.is_multiple_of(5))),
                 color: [0; 3],

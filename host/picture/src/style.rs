@@ -1,4 +1,4 @@
-//! How pictures look.
+//! Style of pictures.
 
 use glam::Vec3;
 

@@ -19,7 +19,7 @@ pub struct PictureView {
     pub size: [u32; 2],
     /// The axis of the model that points up.
     pub up: UpAxis,
-    /// What of it is shown.
+    /// Part of the view that is shown.
     pub crop: Crop,
 }
 
@@ -53,7 +53,7 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
-    /// Turns the model's axes, in their order, so that the one that is up becomes y.
+    /// Turns the model's axes, in their order, so that the axis that points up becomes y.
     pub(super) fn turned(self, p: DVec3) -> DVec3 {
         match self {
             Self::X => p.zxy(),

@@ -292,7 +292,7 @@ def _planned(
         lines = ["[model]", f"path = {json.dumps(fspath(model))}", "[sampling]"]
         lines += [f"{key} = {json.dumps(value)}" for key, value in sampling.items() if value is not None]
         session.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        # Who samples alone writes nothing: there has to be a name all the same.
+        # A session that only samples writes nothing: there has to be a name all the same.
         output = where.with_name(f"none{model.suffix}") if out is None else out
         yield _Plan.of(where, _plan(session, where, output, units=units, whole=True, **how))
 

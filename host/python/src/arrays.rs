@@ -1,5 +1,5 @@
-//! Arrays of numpy's, and points of ours. What comes in is checked by `simod._arrays`, which names what is
-//! wrong with it.
+//! Arrays of numpy's, and points of ours. Arrays from Python are checked by `simod._arrays`, which names the
+//! fault.
 
 use bytemuck::allocation::cast_vec;
 use glam::{DVec3, Vec3};
@@ -27,7 +27,7 @@ pub fn of_triples<'py, T: numpy::Element>(
     PyArray1::from_vec(py, triples).reshape([count, 3])
 }
 
-/// What nobody may write to.
+/// Makes an array read-only for everybody.
 pub fn read_only<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) {
     if let Ok(writer) = array.try_readwrite() {
         let _ = writer.make_nonwriteable();
@@ -49,7 +49,7 @@ pub fn triangles(given: &Bound<'_, PyAny>, vertices: usize) -> PyResult<Vec<[u32
     Ok(bytemuck::cast_slice(checked.as_slice()?).to_vec())
 }
 
-/// Whether an array is still one of so many points, whose numbers lie one behind the other.
+/// Whether an array still has the shape of so many points, with its numbers one behind the other.
 pub fn is_of_points(array: &Bound<'_, PyArray2<f64>>, count: usize) -> bool {
     array.ndim() == 2 && array.shape() == [count, 3] && array.is_c_contiguous()
 }

@@ -1,5 +1,5 @@
-//! Python functions as deformers: what they need of the plugin interface, so that regions, masks, sessions
-//! and comparisons treat them as any other.
+//! Python functions as deformers: the parts of the plugin interface that they need, so that regions, masks,
+//! sessions and comparisons treat them as any other.
 
 use glam::DVec3;
 use numpy::{PyArray1, PyArray2};
@@ -16,7 +16,7 @@ use crate::errors::OrRaise;
 use crate::work::keep_raised;
 use crate::{arrays, plugins};
 
-/// What `simod.deformer` found out of a function.
+/// Description of a function as `simod.deformer` found it out.
 #[derive(Deserialize)]
 struct FunctionDescription {
     id: String,
@@ -34,7 +34,7 @@ struct FunctionDescription {
 /// A parameter, and its default.
 #[derive(Deserialize)]
 struct Parameter {
-    /// As the function calls it.
+    /// Name of the parameter in the function.
     name: String,
     id: String,
     #[serde(flatten)]
@@ -67,7 +67,7 @@ pub fn register(py: Python<'_>, function: Py<PyAny>, description: &str) -> PyRes
     py.detach(|| Plugin::of_host(Box::new(code)).map(plugins::put)).or_raise(py)
 }
 
-/// What a call of the function needs beside the points, all in model coordinates.
+/// Inputs of a call of the function beside the points, all in model coordinates.
 struct CallInputs {
     frame: ModelFrame,
     /// Role and weights of each region.
@@ -99,7 +99,7 @@ impl Function {
         arrays::points(&format!("what {} returned", self.description.id), &moved, Some(count))
     }
 
-    /// Calls with the lock of the interpreter; what it raises is kept.
+    /// Calls with the lock of the interpreter, and keeps an exception as the cause of the error.
     fn with_lock<T>(&self, call: impl FnOnce(Python<'_>) -> PyResult<T>) -> PluginResult<T> {
         let called = Python::try_attach(|py| {
             call(py).map_err(|e| {
@@ -161,7 +161,7 @@ fn to_model(map: &Affine, frame: &ModelFrame) -> [[f64; 4]; 3] {
     })
 }
 
-/// There is a state of another plugin's.
+/// Error of a state that another plugin made.
 fn no_state() -> PluginError {
     PluginError::internal("the state is another plugin's")
 }
@@ -226,7 +226,7 @@ impl Code for Function {
         for (((out, local), rest), moved) in
             out.iter_mut().zip(input.samples.positions()).zip(rest).zip(moved)
         {
-            // What the function left where it was stays to the bit.
+            // A point that the function left where it was stays to the bit.
             *out = if moved == rest { *local } else { frame.to_local(moved.into()).map(|x| x as f32) };
         }
         Ok(())

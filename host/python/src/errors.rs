@@ -22,7 +22,7 @@ pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
     raised(py, class(error.kind()), &error.to_string(), error.hint())
 }
 
-/// An `ArgumentError`: what is wrong, and what to do.
+/// An `ArgumentError`: the fault and the advice.
 pub fn argument(py: Python<'_>, what: &str, hint: &str) -> PyErr {
     raised(py, "ArgumentError", what, hint)
 }

@@ -1,4 +1,4 @@
-//! Models of any size: what they are, their vertices chunk by chunk, sampling, and writing them deformed.
+//! Models of any size: their info, their vertices chunk by chunk, sampling, and writing them deformed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -39,7 +39,7 @@ pub struct Model {
 /// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. No vertex is
 /// read yet.
 ///
-/// `columns` says what the columns of a text are, as "x,y,z,_,nx,ny,nz", where its first line does not.
+/// `columns` names the columns of a text, as "x,y,z,_,nx,ny,nz", where its first line does not.
 ///
 /// Raises FileError or FormatError.
 #[pyfunction]
@@ -61,7 +61,7 @@ impl Model {
         &self.path
     }
 
-    /// What is known without reading the vertices: a `simod.Info`.
+    /// Info on the model that is known without reading the vertices: a `simod.Info`.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let ModelInfo { format, vertices, faces, has_normals, bytes, crs, .. } = &self.info;
@@ -145,7 +145,8 @@ impl Model {
         Ok(samples)
     }
 
-    /// Writes the model as its samples are deformed now: one stream through the file. Gives a `simod.Report`.
+    /// Writes the model as its samples are deformed now: one stream through the file. Returns a
+    /// `simod.Report`.
     ///
     /// `out` appears whole or not at all, and is never the model itself. It has the model's vertices in their
     /// order, and differs in positions and normals alone; with the extension of another format it is
@@ -234,7 +235,7 @@ impl Chunks {
                 let mut chunk = VertexChunk::default();
                 while reader.read(&mut chunk)? {
                     if send.send(Ok(std::mem::take(&mut chunk.positions))).is_err() {
-                        // Nobody reads on.
+                        // No code reads on.
                         break;
                     }
                 }

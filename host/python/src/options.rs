@@ -13,7 +13,7 @@ pub fn record<'py>(py: Python<'py>, class: &str, content: &Value) -> PyResult<Bo
     py.import("simod._records")?.getattr("record")?.call1((class, content.to_string()))
 }
 
-/// A word that stands for something, of those that sessions have.
+/// Value of a word, one of those that sessions have.
 fn word<T: serde::de::DeserializeOwned>(
     py: Python<'_>,
     what: &str,
@@ -25,7 +25,7 @@ fn word<T: serde::de::DeserializeOwned>(
         .map_err(|e| argument(py, &format!("`{what}` cannot be \"{given}\""), &e.to_string()))
 }
 
-/// What sampling is asked for.
+/// Options of sampling, from the arguments of a function.
 pub fn sampling(
     py: Python<'_>,
     samples: Option<i64>,
@@ -60,7 +60,7 @@ pub fn sampling(
     Ok(Sampling { skip: Skip::default(), ..Sampling::from(sampling) })
 }
 
-/// How a deformation is transferred.
+/// Options of the transfer of a deformation, from the arguments of a function.
 pub fn reconstruction(py: Python<'_>, normals: &str, method: &str) -> PyResult<Reconstruction<'static>> {
     let normals = match normals {
         "transform" => Normals::Transform,

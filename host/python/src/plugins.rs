@@ -9,7 +9,7 @@ use simod_session::{Plugin, PluginOptions, PluginRegistry, param_data};
 
 use crate::work::locked;
 
-/// What there is, once it was looked for.
+/// Plugins that were found, once they were looked for.
 static FOUND: Mutex<Option<Arc<PluginRegistry>>> = Mutex::new(None);
 
 /// Python functions, by which a plugin of the same id is not seen.
@@ -20,7 +20,7 @@ fn program(py: Python<'_>) -> PyResult<PathBuf> {
     py.import("simod._program")?.getattr("PROGRAM")?.extract()
 }
 
-/// All plugins.
+/// Registry of all plugins.
 pub fn registry(py: Python<'_>) -> PyResult<Arc<PluginRegistry>> {
     let program = program(py)?;
     // Looking for them takes the lock that others wait for with that of the interpreter.
@@ -46,7 +46,7 @@ pub fn put(plugin: Plugin) {
     *locked(&FOUND) = None;
 }
 
-/// What all plugins say of themselves, as JSON.
+/// Descriptions of all plugins, as JSON.
 #[pyfunction(name = "_plugin_data")]
 pub fn plugin_data(py: Python<'_>) -> PyResult<String> {
     let plugins = registry(py)?;

@@ -1,4 +1,4 @@
-//! Samples as arrays: what any program may deform, and plugins do.
+//! Samples as arrays, which any program may deform, as plugins do.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -41,7 +41,7 @@ pub struct Samples {
     of_file: bool,
 }
 
-/// How the samples are at a time.
+/// State of the samples at a time.
 struct SamplesState {
     now: UndoMoment,
     rest: Py<PyArray2<f64>>,
@@ -50,12 +50,12 @@ struct SamplesState {
     future: Vec<UndoMoment>,
 }
 
-/// What undo goes back to.
+/// State of the samples that undo goes back to.
 #[derive(Clone)]
 struct UndoMoment {
     sampled: Arc<SampledModel>,
-    /// Local positions, which are exact, and what they are in the model's coordinates: what is still so in
-    /// the array was not moved by anybody else.
+    /// Local positions, which are exact, and (`points`) the same in the model's coordinates: a point of the
+    /// array that still has these coordinates was not moved by anybody else.
     local: Arc<[Vec3]>,
     points: Arc<[DVec3]>,
     /// The names of the steps that led here.
@@ -68,14 +68,14 @@ impl UndoMoment {
         Self { sampled, local, points, steps }
     }
 
-    /// Where the samples are. Near, local positions are exact.
+    /// Positions of the samples. Near the model's place at rest, local positions are exact.
     fn deformed(&self) -> DeformedPositions {
         let SampledModel { frame, samples, .. } = &*self.sampled;
         let far = DeformedPositions::new(frame, &samples.positions, &self.points);
         if far.is_unshifted() { self.local.to_vec().into() } else { far }
     }
 
-    /// The deformed positions, rounded as they are written.
+    /// Deformed positions, rounded as they are written.
     fn rounded(&self) -> DeformedPositions {
         let deformed = self.deformed();
         self.sampled.rounded_places(deformed.places(&self.sampled.frame))
@@ -104,14 +104,15 @@ impl SamplesState {
         Ok(bytemuck::cast_slice(points.as_slice()?).to_vec())
     }
 
-    /// How the samples are now, whoever moved them.
+    /// State of the samples now, whoever moved them.
     fn look(&self, py: Python<'_>) -> PyResult<UndoMoment> {
         let points = self.read(py)?;
         let local = self.now.local_of(&points).or_raise(py)?;
         Ok(UndoMoment { local, points: points.into(), ..self.now.clone() })
     }
 
-    /// Goes to another time. The arrays stay the same ones as long as there are as many samples.
+    /// Restores the state of another time. The arrays stay the same ones as long as there are as many
+    /// samples.
     fn go_to(&mut self, py: Python<'_>, moment: UndoMoment) -> PyResult<()> {
         if Arc::ptr_eq(&moment.sampled, &self.now.sampled) {
             let points = self.points.bind(py).try_readwrite()?;
@@ -126,7 +127,7 @@ impl SamplesState {
     }
 }
 
-/// Where samples are at rest.
+/// Positions of the samples at rest, as an array in model coordinates.
 fn rest(py: Python<'_>, sampled: &SampledModel) -> PyResult<Py<PyArray2<f64>>> {
     let points = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
     let rest = arrays::of_points(py, points)?;
@@ -146,13 +147,13 @@ impl Samples {
         Ok(Self { state: Mutex::new(state), of_file })
     }
 
-    /// The samples, and where they are now: finite local positions.
+    /// Samples, and their finite local positions now.
     pub fn now(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, Arc<[Vec3]>)> {
         let UndoMoment { sampled, local, .. } = self.state(py).look(py)?;
         Ok((sampled, local))
     }
 
-    /// The samples, and where they are now, as they are written.
+    /// Samples, and their positions now, as they are written.
     pub fn written(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, DeformedPositions)> {
         let now = self.state(py).look(py)?;
         let deformed = now.rounded();
@@ -202,25 +203,27 @@ impl Samples {
     }
 }
 
-/// What an argument is called in a session.
+/// Puts an argument that is given into a table, under the name that a session has for it.
 fn add(to: &Bound<'_, PyDict>, name: &str, given: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
     let Some(given) = given.filter(|given| !given.is_none()) else { return Ok(()) };
-    // What can be gone over once only is looked at twice.
+    // An iterator, which can be gone over once only, is looked at twice, and becomes a list.
     to.set_item(name, given.try_iter()?.collect::<PyResult<Vec<_>>>()?)
 }
 
 #[pymethods]
 impl Samples {
-    /// Where the samples are at rest: shape (N, 3), float64, model coordinates. Nobody may write to it.
+    /// Positions of the samples at rest: shape (N, 3), float64, model coordinates. Nobody may write to the
+    /// array.
     #[getter]
     fn rest<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         self.state(py).rest.bind(py).clone()
     }
 
-    /// Where the samples are now: shape (N, 3), float64, model coordinates. Write to it to deform the model.
+    /// Positions of the samples now: shape (N, 3), float64, model coordinates. Write to the array to deform
+    /// the model.
     ///
-    /// It is the same array until `refine` appends samples, and undoing that takes them away. Assigning to
-    /// `samples.points` copies into it.
+    /// The array is the same until `refine` appends samples, or undoing that takes them away. Assigning to
+    /// `samples.points` copies into the array.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         self.state(py).points.bind(py).clone()
@@ -250,8 +253,8 @@ impl Samples {
         arrays::of_directions(py, &normals)
     }
 
-    /// Triangles between the samples, by their indices: shape (T, 3), uint32; none where the model has no
-    /// faces.
+    /// Triangles between the samples, by the samples' indices: shape (T, 3), uint32; none where the model has
+    /// no faces.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         arrays::of_triples(py, self.sampled(py).triangles.as_flattened().to_vec())
@@ -295,8 +298,8 @@ impl Samples {
         format!("<simod.Samples: {} of {} vertices>", sampled.samples.len(), sampled.source.vertices)
     }
 
-    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from where they
-    /// are now. On an error they stay where they are.
+    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from their
+    /// positions now. On an error the samples stay where they are.
     ///
     /// `parameters` are the plugin's (`help(simod.plugins["rbf"])`), with `_` for `-`, and `from_` for
     /// `from`; `params` are such as well, by their ids. `regions` is a list of dictionaries as in a session:
@@ -341,7 +344,7 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Appends samples in a part of the model, where they are now; those that there are keep their indices,
+    /// Appends samples in a part of the model as it is deformed now; the samples before keep their indices,
     /// and all arrays become new ones.
     ///
     /// `shapes` is a list of shapes as in a session, on the model as it is deformed now; it may be left out
@@ -382,8 +385,8 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Takes back the last `apply` or `refine`, with what was written to `points` since. Whether there was
-    /// one.
+    /// Takes back the last `apply` or `refine`, with all that was written to `points` since. Returns whether
+    /// there was one.
     fn undo(&self, py: Python<'_>) -> PyResult<bool> {
         let mut state = self.state(py);
         let now = state.look(py)?;
@@ -393,7 +396,7 @@ impl Samples {
         Ok(true)
     }
 
-    /// Does again what was taken back last. Whether there was something.
+    /// Does again the step that was taken back last. Returns whether there was one.
     fn redo(&self, py: Python<'_>) -> PyResult<bool> {
         let mut state = self.state(py);
         let now = state.look(py)?;
@@ -451,8 +454,8 @@ impl Samples {
         py.detach(|| sampled.save(&folder)).or_raise(py)
     }
 
-    /// Writes the samples where they are now as a PLY file, which `simod reconstruct --deformed` takes, or
-    /// any other program.
+    /// Writes the samples at their positions now as a PLY file, which `simod reconstruct --deformed` takes,
+    /// or any other program.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let (sampled, deformed) = self.written(py)?;
         let write = || {
@@ -464,8 +467,8 @@ impl Samples {
         py.detach(write).or_raise(py)
     }
 
-    /// Moves the samples to where a file has them: `samples.ply` with other positions, from any program.
-    /// Where it has ids, they tell which is which; otherwise the order does.
+    /// Moves the samples to the positions that a file has: `samples.ply` with other positions, from any
+    /// program. If the file has ids, these assign its points to the samples; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
         let read =
@@ -482,7 +485,7 @@ impl Samples {
     }
 }
 
-/// Moves by ids as a session has them: a list of dictionaries.
+/// Moves of handles by their ids, as a session has them: a list of dictionaries.
 fn by_id<'py>(moves: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let Ok(moves) = moves.cast::<PyDict>() else {
         return moves.try_iter()?.map(|entry| Ok(entry?.cast_into::<PyDict>()?)).collect();

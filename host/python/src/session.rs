@@ -16,8 +16,8 @@ use crate::options::{reconstruction, record};
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// A session file: a model, how it is sampled, the steps of an edit, and where the result goes. Steps may
-/// name functions that `simod.deformer` registered.
+/// A session file: a model, its sampling, the steps of an edit, and the path of the result. Steps may name
+/// functions that `simod.deformer` registered.
 #[pyclass(module = "simod", frozen)]
 pub struct Session {
     path: PathBuf,
@@ -38,19 +38,19 @@ impl Session {
         &self.path
     }
 
-    /// The model that it names, if it does.
+    /// Path of the model that the session names, if it does.
     #[getter]
     fn model(&self) -> Option<&Path> {
         self.file.model.as_deref()
     }
 
-    /// Where it says that the result goes, if it does.
+    /// Path of the result that the session names, if it does.
     #[getter]
     fn output(&self) -> Option<&Path> {
         self.file.output.as_deref()
     }
 
-    /// The names of its steps, first to last, without those that are switched off.
+    /// Names of the session's steps, first to last, without those that are switched off.
     #[getter]
     fn steps(&self) -> Vec<&str> {
         self.file.steps.iter().filter(|step| step.enabled).map(|step| step.name()).collect()
@@ -60,7 +60,7 @@ impl Session {
         format!("<simod.Session {:?}: {}>", self.path, self.steps().join(", "))
     }
 
-    /// Does the session: samples its model, deforms the samples, and writes the deformed model, which appears
+    /// Runs the session: samples its model, deforms the samples, and writes the deformed model, which appears
     /// whole or not at all. Gives a `simod.Report`.
     ///
     /// `out` and `model` stand for what the session says. With `measure`, the result is compared with the
@@ -128,7 +128,7 @@ impl Session {
     }
 }
 
-/// What is told of a run, with the error that was measured beside the exact deformation.
+/// Report on a run, with the error that was measured beside the exact deformation.
 fn report(run: &Run, error: Option<TransferError>) -> Value {
     let folded = run.written.folding.first().copied().flatten().map_or(0, |f| f.samples);
     let error = error
@@ -148,10 +148,10 @@ fn tolerance_of(given: &Bound<'_, PyAny>) -> PyResult<Tolerance> {
         .map_err(|e: String| argument(given.py(), &format!("`tolerance` is {text}: {e}"), "give 1e-4, say"))
 }
 
-/// Does several methods on one model, as `file` says, and writes a folder with a page, figures (compare.json)
-/// and pictures. Methods may name functions that `simod.deformer` registered. Gives the figures as
-/// compare.json has them. With `keep_models`, the deformed models stay in the folder; with `allow_commands`,
-/// programs that the file names are run. `progress`: see `Model.sample`.
+/// Runs several methods on one model, which `file` lists, and writes a folder with a page, figures
+/// (compare.json) and pictures. Methods may name functions that `simod.deformer` registered. Gives the
+/// figures as compare.json has them. With `keep_models`, the deformed models stay in the folder; with
+/// `allow_commands`, programs that the file names are run. `progress`: see `Model.sample`.
 #[pyfunction]
 #[pyo3(signature = (file, output, *, model = None, keep_models = false, allow_commands = false, progress = None))]
 pub fn compare<'py>(

@@ -14,7 +14,7 @@ use toml::{Table, Value};
 
 use crate::errors::{OrRaise, argument};
 
-/// What a region says instead of shapes: an array of truth values, one for each sample.
+/// Key of a region that has, instead of shapes, an array of truth values, one for each sample.
 const WHERE: &str = "where";
 
 /// Reads one step; `positions` are those of the samples now, in the model's coordinates, for regions that are
@@ -56,7 +56,7 @@ fn masks(step: &Bound<'_, PyDict>, table: &mut Table, samples: usize) -> PyResul
         };
         let mask = step.py().import("simod._arrays")?.getattr("mask")?.call1((given, samples))?;
         masks.push(Some(mask.extract()?));
-        // What the reader of sessions asks for.
+        // A shape that the reader of sessions asks for; the samples picked take its place later.
         let origin = Value::Array(vec![Value::Float(0.0); 3]);
         let sphere =
             Table::from_iter([("center".to_owned(), origin), ("radius".to_owned(), Value::Float(1.0))]);
@@ -66,8 +66,8 @@ fn masks(step: &Bound<'_, PyDict>, table: &mut Table, samples: usize) -> PyResul
     Ok(masks)
 }
 
-/// A dictionary, whose names may have `_` for `-`, and one more at the end where they are Python's own, as
-/// `from_`; what is None is left out.
+/// Table of a dictionary, whose names may have `_` for `-`, and one more at the end where they are Python's
+/// own, as `from_`; values of None are left out.
 fn table(of: &Bound<'_, PyDict>) -> PyResult<Table> {
     let mut table = Table::new();
     for (key, given) in of {
@@ -79,7 +79,7 @@ fn table(of: &Bound<'_, PyDict>) -> PyResult<Table> {
     Ok(table)
 }
 
-/// Anything that has a counterpart in a session.
+/// Value of a Python object that has a counterpart in a session.
 fn value(of: &Bound<'_, PyAny>) -> PyResult<Value> {
     if let Ok(table_of) = of.cast::<PyDict>() {
         return table(table_of).map(Value::Table);

@@ -16,8 +16,8 @@ use crate::options::reconstruction;
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// Writes the plan of a session to a folder; its units, where the result goes, and what its samples are of,
-/// as JSON. `whole` samples have all that samples of a model have, and not only what the steps need.
+/// Writes the plan of a session to a folder; returns its units, the path of the result, and a name of its
+/// samples, as JSON. `whole` samples have all that samples of a model have, and not only what the steps need.
 #[pyfunction(name = "_plan")]
 #[pyo3(signature = (session, folder, out = None, *, units, model = None, normals = "transform", method = "blended-jets",
     choose_offset = false, lossy = false, overwrite = false, whole = false))]
@@ -102,14 +102,14 @@ pub fn comparison_plan(
     Ok(described(plan.output(), &folder.display().to_string(), plan.units()))
 }
 
-/// What Python asks of a plan, as JSON; plans of which `sampled` is the same take the same samples.
+/// Properties of a plan for Python, as JSON; plans of which `sampled` is the same take the same samples.
 fn described(output: &Path, sampled: &str, units: &[Unit]) -> String {
     let units: Vec<_> =
         units.iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
     json!({"output": output, "sampled": sampled, "units": units}).to_string()
 }
 
-/// Does a unit of the plan in a folder; whether it was not done before.
+/// Does a unit of the plan in a folder; returns whether it was not done before.
 #[pyfunction(name = "_unit")]
 pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     let plugins = registry(py)?;

@@ -22,13 +22,13 @@ static GOING_ON: Mutex<u64> = Mutex::new(0);
 static ONE_LESS: Condvar = Condvar::new();
 static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// The process that has the threads of the pool; 0 where nobody asked for them yet.
+/// Number of the process that has the threads of the pool; 0 where they were not started yet.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
-/// What a Python function raised last, that was called by work.
+/// Exception that a Python function called by work raised last.
 static RAISED: Mutex<Option<PyErr>> = Mutex::new(None);
 
-/// Keeps what a function raised, to be the cause of what the work comes to.
+/// Keeps the exception of a function, to be the cause of the work's error.
 pub fn keep_raised(error: PyErr) {
     *locked(&RAISED) = Some(error);
 }
@@ -68,7 +68,7 @@ impl Progress for Watch {
 }
 
 impl Watch {
-    /// The stage, and how much of it is done: nothing where that is not known.
+    /// Stage, and the part of it that is done: none where that is not known.
     fn place(&self) -> (&'static str, Option<f64>) {
         let WorkStage { name, total } = *locked(&self.stage);
         let done = self.done.load(Ordering::Relaxed);
@@ -76,7 +76,7 @@ impl Watch {
     }
 }
 
-/// Counts work as long as it goes on.
+/// Count of work, as long as the work goes on.
 struct GoingOn;
 
 impl GoingOn {
@@ -97,8 +97,8 @@ impl Drop for GoingOn {
     }
 }
 
-/// Stops all work, and waits until it has: as the interpreter ends, threads that wait for its lock would
-/// never get it.
+/// Stops all work, and waits until it has ended: as the interpreter ends, threads that wait for its lock
+/// would never get it.
 #[pyfunction(name = "_stop_all")]
 pub fn stop_all(py: Python<'_>) {
     ENDING.store(true, Ordering::Relaxed);
@@ -110,7 +110,7 @@ pub fn stop_all(py: Python<'_>) {
     });
 }
 
-/// What `progress` of a function means: a function, or nothing.
+/// Listener that the argument `progress` of a function means: a function, or none.
 fn listener<'py>(progress: Option<&Bound<'py, PyAny>>) -> PyResult<Option<Bound<'py, PyAny>>> {
     let Some(progress) = progress.filter(|p| !p.is_none()) else { return Ok(None) };
     if let Ok(wanted) = progress.extract::<bool>() {
@@ -136,7 +136,7 @@ impl Finish {
         self.changed.notify_all();
     }
 
-    /// Whether it is over, after a while at most.
+    /// Whether the result is there, after a while at most.
     fn wait(&self) -> bool {
         let is_over = locked(&self.is_over);
         let waited = self.changed.wait_timeout_while(is_over, TICK, |over| !*over);
@@ -144,7 +144,7 @@ impl Finish {
     }
 }
 
-/// Tells that it is over whatever became of the thread.
+/// Tells that work is over, whatever became of its thread.
 struct Telling<'a>(&'a Finish);
 
 impl Drop for Telling<'_> {
@@ -153,8 +153,8 @@ impl Drop for Telling<'_> {
     }
 }
 
-/// Does work, and gives its result with what there was to note. The first that `progress` or a signal raises
-/// stops it, and is raised.
+/// Does work, and returns its result with the notes on it. The first exception of `progress` or a signal
+/// stops the work, and is raised.
 pub fn work<T: Send>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,
@@ -201,7 +201,7 @@ pub fn work<T: Send>(
     }
 }
 
-/// The exception for what became of work, with what a Python function raised as its cause.
+/// Exception for an error of work, with the exception of a Python function as its cause.
 fn failed(py: Python<'_>, error: &Error) -> PyErr {
     let exception = exception(py, error);
     let cause = locked(&RAISED).take();
@@ -211,15 +211,15 @@ fn failed(py: Python<'_>, error: &Error) -> PyErr {
     exception
 }
 
-/// Passes on what the user should know though the work was done.
+/// Passes on notes for the user on work that was done.
 pub fn warn(py: Python<'_>, notes: &[String]) -> PyResult<()> {
     let category = py.import("simod._errors")?.getattr("SimodWarning")?;
     let warn = py.import("warnings")?.getattr("warn")?;
     notes.iter().try_for_each(|note| warn.call1((note, &category, 1)).map(drop))
 }
 
-/// Does work on threads that are there: those of the pool are not in a process that was forked from the one
-/// that made them.
+/// Does work on threads that exist: those of the pool do not in a process that was forked from the one that
+/// made them.
 fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let here = std::process::id();
     let owner = OWNER.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed).unwrap_or_else(|o| o);
@@ -232,7 +232,7 @@ fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// What a mutex holds, whatever became of the thread that held it last.
+/// Locks a mutex, whatever became of the thread that held it last.
 pub fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -20,7 +20,7 @@ import simod
 import simod.dask
 from conftest import run as command
 
-# What Dask has to say about itself, and about workers that are killed.
+# Warnings of Dask about itself, and about workers that are killed.
 pytestmark = pytest.mark.filterwarnings("default")
 
 untyped: Any = distributed
@@ -77,7 +77,7 @@ def test_samples_and_models_have_the_bytes_of_one_machine(
     assert (tmp_path / "out.ply").read_bytes() == (tmp_path / "expected.ply").read_bytes()
     assert report.units == 6 and report.again == 0 and report.output == tmp_path / "out.ply"
 
-    # They are refined as others are.
+    # These samples are refined as others are.
     for array in (samples, expected):
         array.refine([{"sphere": {"center": [0.0, 0.5, 0.3], "radius": 0.4}}], factor=3)
     assert len(samples) == len(expected) > 3000

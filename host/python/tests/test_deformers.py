@@ -145,7 +145,7 @@ def test_what_a_function_raises_is_the_cause(plane: Path) -> None:
         samples.apply(broken)
     assert isinstance(failed.value.__cause__, ZeroDivisionError)
     assert np.array_equal(samples.points, samples.rest) and samples.steps == []
-    # It is not the cause of what fails later.
+    # The exception is not the cause of later failures.
     with pytest.raises(simod.PluginError) as other:
         samples.apply("missing")
     assert other.value.__cause__ is None

@@ -1,7 +1,7 @@
-//! How long frames take: `frame-times [--picture FOLDER] [THOUSANDS OF SPLATS ...]` (200, 1000 and 5000 by
+//! Times of frames: `frame-times [--picture FOLDER] [THOUSANDS OF SPLATS ...]` (200, 1000 and 5000 by
 //! default).
 //!
-//! Medians over frames of a turning model, each waited for. With `--picture`, writes what is drawn, too.
+//! Medians over frames of a turning model, each waited for. With `--picture`, writes the pictures, too.
 #![allow(clippy::print_stdout, reason = "a program that tells what it measured")]
 
 use std::error::Error;
@@ -183,7 +183,7 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
     shot(&mut scene, "dark", &dark, None, &view)?;
     shot(&mut scene, "budget", &style, Some(&mut Budget::new(Duration::from_millis(40))), &view)?;
 
-    // Bent to the side, beside the ghost of what it was, with a lattice.
+    // The model is bent to the side, beside the ghost of its rest shape, with a lattice.
     let bent = |p: Vec3| Vec3::new(p.x + 0.35 * (p.y + 0.5) * (p.y + 0.5), p.y, p.z);
     let positions: Vec<Vec3> = set.positions.iter().map(|p| bent(*p)).collect();
     scene.set_positions(&positions, set.normals())?;

@@ -1,8 +1,8 @@
-//! How much is drawn in a frame, so that what moves stays smooth.
+//! The number of splats that are drawn in a frame, so that motions stay smooth.
 
 use std::time::Duration;
 
-/// The number of splats that a frame takes, by how long the last ones took.
+/// Number of splats that a frame draws, learnt from the times of the last frames.
 ///
 /// The number is halved or doubled, and not at once: a surface whose discs change in every frame would
 /// flicker.
@@ -10,29 +10,29 @@ use std::time::Duration;
 pub struct Budget {
     goal: Duration,
     splats: usize,
-    /// At rest.
+    /// Number of splats that a frame adds at rest.
     step: usize,
     coarse: bool,
-    /// Frames in a row that took too long, or far less than they might.
+    /// Number of last frames in a row that took too long, and of those that took far less than they might.
     slow: u32,
     fast: u32,
-    /// What was done for the next frame before it was drawn.
+    /// Time of the work for the next frame before it is drawn.
     besides: Duration,
 }
 
 impl Budget {
     /// Fewest splats of a frame, however long they take.
     const LEAST: usize = 16_000;
-    /// Samples that are drawn at first.
+    /// Number of splats that are drawn at first.
     const FIRST: usize = 128_000;
     const MOST: usize = 1 << 30;
-    /// A part of a picture at rest may take so many times longer: nobody's hand waits for it, and each has
-    /// its own costs.
+    /// Factor by which a part of a picture at rest may take longer than the goal: nobody's hand waits for
+    /// it, and each part has its own costs.
     const REST: u32 = 4;
-    /// So many frames in a row tell something.
+    /// Number of frames in a row after which the number of splats changes.
     const FRAMES: u32 = 3;
 
-    /// A budget for frames that take so long.
+    /// Budget for frames whose time is to be `goal`.
     pub fn new(goal: Duration) -> Self {
         Self {
             goal,
@@ -45,22 +45,23 @@ impl Budget {
         }
     }
 
-    /// How many splats the next frame takes at most.
+    /// Greatest number of splats of the next frame.
     pub fn splats(&self) -> usize {
         self.splats
     }
 
-    /// How many more splats a frame takes at most while nothing moves.
+    /// Greatest number of splats that a frame adds while nothing moves.
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// Counts how long something took that is done for the next frame, by how many splats it draws.
+    /// Counts the time of work for the next frame, which grows with the number of splats that the frame
+    /// draws.
     pub fn also(&mut self, took: Duration) {
         self.besides += took;
     }
 
-    /// Learns how long such a frame took.
+    /// Learns the time of a frame that added `step` splats.
     pub fn learn_step(&mut self, took: Duration) {
         let ratio = (Self::REST * self.goal).as_secs_f64() / took.as_secs_f64().max(1e-9);
         let step = self.step as f64 * ratio.clamp(0.5, 2.0);
@@ -72,14 +73,14 @@ impl Budget {
         self.coarse
     }
 
-    /// Learns how long a frame took, which showed all splats of its surface or not.
+    /// Learns the time of a frame; `all` says whether it showed all splats of its surface.
     pub fn learn(&mut self, took: Duration, all: bool) {
         let took = took + std::mem::take(&mut self.besides);
         let ratio = took.as_secs_f64() / self.goal.as_secs_f64().max(1e-9);
         self.slow = if ratio > 1.0 { self.slow + 1 } else { 0 };
         self.fast = if ratio < 0.4 { self.fast + 1 } else { 0 };
         if self.slow == Self::FRAMES || ratio > 3.0 {
-            // Fewer splats, and once that does not help, fewer pixels.
+            // The number of splats shrinks, and once it cannot, the number of pixels.
             self.coarse |= self.splats == Self::LEAST;
             self.splats = (self.splats / 2).max(Self::LEAST);
             self.slow = 0;
@@ -99,7 +100,7 @@ impl Budget {
 mod tests {
     use super::*;
 
-    /// Machines that draw so many splats in a second, after a fixed time, find a number and keep to it.
+    /// Machines that draw `rate` splats in a second, after a fixed time, find a number and keep to it.
     #[test]
     fn the_goal_is_met_and_kept() {
         for (rate, fixed) in [(1e6, 0.01), (1e8, 0.001), (2e6, 0.02), (1e9, 0.002)] {
@@ -116,7 +117,7 @@ mod tests {
         }
     }
 
-    /// What bringing the splats up to date takes is a part of a frame, as drawing them is.
+    /// The time that brings the splats up to date is a part of a frame's, as that of drawing them is.
     #[test]
     fn what_a_frame_takes_besides_counts() {
         let numbers = |drawing: f64, besides: f64| {
@@ -147,7 +148,7 @@ mod tests {
         assert!(!budget.is_coarse());
     }
 
-    /// Neither a single slow frame, nor quick ones of small surfaces tell anything.
+    /// Neither a single slow frame, nor quick frames of small surfaces change the number.
     #[test]
     fn it_does_not_jump() {
         let mut budget = Budget::new(Duration::from_millis(40));

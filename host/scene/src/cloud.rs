@@ -12,20 +12,20 @@ use crate::gpu::Gpu;
 use crate::order::Order;
 use crate::pipeline::bind;
 
-/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`, and `axes`
-/// where it is empty.
+/// A sampled surface, in local coordinates. All lists are as long as `positions`, but not `triangles`, and
+/// `axes` may be empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SceneSurface<'a> {
     /// Positions; samples that are not finite are not drawn.
     pub positions: &'a [Vec3],
     /// Normals of any length; zero (or not finite) where they are not known.
     pub normals: &'a [Vec3],
-    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where
-    /// it is negative, none is drawn.
+    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. A
+    /// sample with a negative radius is not drawn.
     pub radii: &'a [f32],
-    /// Half axes of ellipses in the discs' place, the longer one first, at right angles to each other and to
-    /// the normal; `radii` has the longer one's length, or says that none is drawn. Of discs all around:
-    /// empty.
+    /// Half axes of ellipses in the discs' place, the longer one first, at right angles to each other and
+    /// to the normal; `radii` has the length of the longer one, or a negative number for no ellipse. Empty
+    /// where all are round discs.
     pub axes: &'a [[Vec3; 2]],
     /// Red, green and blue, in sRGB; white where there are none.
     pub colors: Option<&'a [[u8; 3]]>,
@@ -36,7 +36,7 @@ pub struct SceneSurface<'a> {
 /// A surface that cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BadSurface {
-    /// A list is not as long as it has to be.
+    /// A list has another length than the positions.
     #[error("{what}: {found} for {expected} samples\nhint: give one for each sample")]
     Length {
         /// The list.
@@ -60,7 +60,7 @@ pub enum BadSurface {
 
 /// Samples with their order of drawing, in chunks that the device takes.
 pub(crate) struct Cloud {
-    /// In which the samples are held and drawn; triangles speak of places in it.
+    /// Order in which the samples are held and drawn; triangles speak of places in it.
     order: Order,
     chunks: Vec<SampleChunk>,
     triangles: Option<DrawnTriangles>,
@@ -85,7 +85,7 @@ struct SampleChunk {
     group: BindGroup,
 }
 
-/// Three indices each.
+/// Triangles of three indices each.
 struct DrawnTriangles {
     buffer: Buffer,
     indices: u32,
@@ -95,16 +95,16 @@ struct DrawnTriangles {
 type Geometry = [u32; 4];
 /// Radius and colour.
 type DiscLook = [u32; 2];
-/// The longer axis, and how long the other one is beside it.
+/// Direction of the longer axis, and ratio of the shorter one's length to its length.
 type DiscShape = u32;
 
 /// Samples that a thread packs at once, at least.
 const LEAST_TOGETHER: usize = 4096;
 
-/// A disc's, which is as wide as it is long.
+/// Shape of a disc, which is as wide as it is long.
 const ROUND: DiscShape = 0xff00_0000;
 
-/// Instead of a normal; the same in `samples.wgsl`.
+/// Value in a normal's place for a sample that is not drawn; the same in `samples.wgsl`.
 const HIDDEN: u32 = 0x8000_8000;
 const UNKNOWN: u32 = 0x8000_0000;
 
@@ -124,7 +124,7 @@ impl Cloud {
         cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
         cloud.write_shapes(&gpu.queue, surface.axes);
         cloud.write_look(&gpu.queue, surface.radii, surface.colors);
-        // Triangles reach all samples only where these are in one piece.
+        // Triangles reach all samples only where the samples are in one chunk.
         if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
             cloud.triangles =
                 DrawnTriangles::new(gpu, &cloud.order.samples, surface.triangles, limits.max_buffer_size);
@@ -137,12 +137,12 @@ impl Cloud {
         self.order.samples.len()
     }
 
-    /// How many samples to draw where at most so many are wanted, so that they are evenly spread.
+    /// Number of samples to draw where at most `most` are wanted, so that they are evenly spread.
     pub fn part(&self, most: usize) -> usize {
         if most >= self.len() { self.len() } else { self.order.part(most) }
     }
 
-    /// How many samples are about one of 2^`times`, evenly spread.
+    /// Number of samples that are about one of 2^`times`, evenly spread.
     pub fn halved(&self, times: usize) -> usize {
         self.order.halved(times)
     }
@@ -152,7 +152,7 @@ impl Cloud {
         self.triangles.as_ref().map_or(0, |triangles| triangles.indices as usize / 3)
     }
 
-    /// So many samples that are drawn first.
+    /// The `count` samples that are drawn first.
     pub fn first(&self, count: usize) -> First {
         let mut first: Vec<(u32, u32)> = self.order.samples[..count].iter().copied().zip(0..).collect();
         first.par_sort_unstable();
@@ -172,7 +172,7 @@ impl Cloud {
         let count = first.places.len();
         let all: Vec<(Geometry, DiscLook, DiscShape)> =
             (0..count).into_par_iter().with_min_len(LEAST_TOGETHER).map(packed).collect();
-        // In the order of drawing.
+        // Entries are put into the order of drawing.
         let mut geometry = vec![Geometry::default(); count];
         let (mut looks, mut shapes) = (vec![DiscLook::default(); count], vec![DiscShape::default(); count]);
         for (packed, place) in all.into_iter().zip(&first.places) {
@@ -265,7 +265,7 @@ impl SampleChunk {
 }
 
 impl DrawnTriangles {
-    /// None where the device takes no buffer that long.
+    /// Buffers of triangles; none where the device takes no buffer that long.
     fn new(gpu: &Gpu, order: &[u32], triangles: &[[u32; 3]], most: u64) -> Option<Self> {
         let mut places = vec![0u32; order.len()];
         order.iter().zip(0..).for_each(|(&sample, place)| places[sample as usize] = place);
@@ -326,7 +326,8 @@ fn packed(position: Vec3, normal: Vec3) -> Geometry {
     if position.is_finite() { [x, y, z, octahedral(normal)] } else { [0, 0, 0, HIDDEN] }
 }
 
-/// The direction of the longer axis in 12 bits each way, and the other one's length in 8, as a part of it.
+/// Direction of the longer axis in 12 bits for each of two coordinates, and the other axis' length in 8, as
+/// a part of the longer one's.
 fn shape([long, short]: &[Vec3; 2]) -> DiscShape {
     let Some(e) = on_octahedron(*long) else { return ROUND };
     let word = |x: f32| (rounded(x.clamp(-1.0, 1.0) * 2047.0) + 2047) as u32;
@@ -335,19 +336,20 @@ fn shape([long, short]: &[Vec3; 2]) -> DiscShape {
     word(e.x) | word(e.y) << 12 | u32::from(ratio) << 24
 }
 
-/// The nearest whole number: the library's way is a call for each of some in each picture.
+/// Nearest whole number: the library's function would be a call for each of some numbers in each picture.
 fn rounded(x: f32) -> i32 {
     (x + 0.5_f32.copysign(x)) as i32
 }
 
-/// A direction as a point of an octahedron's net, in 16 bits each way.
+/// Direction as a point of an octahedron's net, in 16 bits for each of two coordinates.
 fn octahedral(normal: Vec3) -> u32 {
     let word = |x: f32| u32::from(rounded(x.clamp(-1.0, 1.0) * 32767.0) as i16 as u16);
     on_octahedron(normal).map_or(UNKNOWN, |e| word(e.x) | word(e.y) << 16)
 }
 
-/// A direction as a point of an octahedron's net, from -1 to 1 each way; none where it is not known: Z.
-/// Cigolle et al., *A Survey of Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+/// Direction as a point of an octahedron's net, with both coordinates from -1 to 1; nothing where the
+/// direction is not known (Z. Cigolle et al., *A Survey of Efficient Representations for Independent Unit
+/// Vectors*, JCGT 3(2), 2014).
 fn on_octahedron(direction: Vec3) -> Option<Vec2> {
     let n = direction / direction.abs().element_sum();
     if !n.is_finite() {

@@ -29,20 +29,20 @@ pub(crate) struct FrameData {
 const KEY_LIGHT: Vec3 = Vec3::new(-0.50, 0.66, 0.56);
 const FILL_LIGHT: Vec3 = Vec3::new(0.80, 0.10, 0.59);
 const HEAD_LIGHT: Vec3 = Vec3::new(0.0, 0.12, 1.0);
-/// Linear colour of the surface where its own are not shown.
+/// Linear colour of the surface where its own colours are not shown.
 const CLAY: Vec3 = Vec3::new(0.56, 0.51, 0.46);
 /// Linear colour of the ghost.
 const GHOST: Vec3 = Vec3::new(0.22, 0.42, 0.72);
 /// Backgrounds, above and below, in sRGB.
 const PAPER: [Vec3; 2] = [Vec3::new(0.925, 0.930, 0.935), Vec3::new(0.845, 0.850, 0.860)];
 const SLATE: [Vec3; 2] = [Vec3::new(0.260, 0.270, 0.290), Vec3::new(0.140, 0.145, 0.160)];
-/// The place of the light among the flags.
+/// Place of the light among the bits of the flags.
 const LIGHT: u32 = 8;
-/// How far the occlusion reaches, as a share of the surface's radius.
+/// Reach of the occlusion, as a share of the surface's radius.
 const REACH: f32 = 0.13;
 
 impl FrameData {
-    /// A frame drawn in so many pixels of a surface of a radius, with a ghost or not.
+    /// Data of a frame of so many pixels, of a surface with a radius, with a ghost or not.
     pub fn new(
         view: &SceneView,
         style: &SceneStyle,

@@ -11,7 +11,7 @@ pub struct Gpu {
     software: bool,
 }
 
-/// There is nothing to draw with.
+/// The error of a machine that has nothing to draw with.
 #[derive(Debug, thiserror::Error)]
 #[error("no graphics adapter: {reason}\nhint: {}", NoGpu::HINT)]
 pub struct NoGpu {
@@ -19,7 +19,7 @@ pub struct NoGpu {
 }
 
 impl NoGpu {
-    /// What to do.
+    /// Advice to the user.
     pub const HINT: &'static str = "install your graphics card's Vulkan driver, or one in software \
         (on Debian and Ubuntu: apt install mesa-vulkan-drivers libvulkan1)";
 }
@@ -31,7 +31,7 @@ impl Gpu {
     /// A device without a window: the fastest card, or else one in software.
     ///
     /// # Errors
-    /// There is none, or it refuses.
+    /// There is no device, or it refuses.
     pub fn headless() -> Result<Self, NoGpu> {
         pollster::block_on(Self::open())
     }
@@ -42,7 +42,8 @@ impl Gpu {
             Err(reason) => find(true).await.map_err(|_| NoGpu { reason })?,
         };
         let offered = adapter.limits();
-        // What every adapter of the last decade has, and longer buffers where there are any.
+        // The limits are those that every adapter of the last decade has, with longer buffers where the
+        // adapter has any.
         let required_limits = Limits {
             max_buffer_size: offered.max_buffer_size.min(BUFFER),
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size.min(BUFFER),

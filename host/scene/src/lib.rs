@@ -1,4 +1,5 @@
-//! Draws sampled surfaces with the graphics card: what the viewer's window shows, and pictures without one.
+//! Draws sampled surfaces with the graphics card: for the viewer's window, and for pictures without a
+//! window.
 //!
 //! Geometry is in local coordinates (single precision, about unit size; see `simod_model::frame::Frame`). A
 //! [`Scene`] holds a surface, maybe a ghost of another one, lines and dots, and draws them into a texture of
@@ -24,7 +25,7 @@
 //! # }
 //! ```
 //!
-//! The way of a frame, each a module with its shader:
+//! The steps of a frame, each a module with its shader:
 //!
 //! 1. `splats`: discs, in two passes, to weighted sums; `resolve` makes the visible surface of them. Or
 //!    `triangles`, which give it at once. The ghost likewise.
@@ -54,6 +55,6 @@ pub use marks::{Dot, Line};
 pub use scene::{Scene, SurfaceShare};
 pub use view::{Background, Light, Matcap, PixelScale, SceneStyle, SceneView, SurfaceMode};
 
-/// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they
-/// are (as in a PNG file; what egui takes as a texture of the user).
+/// Format of the texture that [`Scene::render`] returns: 8 bits a channel, which hold sRGB values as they
+/// are (as in a PNG file, and as egui takes textures of the user).
 pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

@@ -24,7 +24,7 @@ pub struct Line {
     pub color: [u8; 4],
     /// Width in pixels.
     pub width_px: f32,
-    /// Whether the surface does not hide it.
+    /// Whether the line is drawn over the surface, which does not hide it.
     pub on_top: bool,
 }
 
@@ -37,7 +37,7 @@ pub struct Dot {
     pub color: [u8; 4],
     /// Diameter in pixels.
     pub size_px: f32,
-    /// Whether the surface does not hide it.
+    /// Whether the dot is drawn over the surface, which does not hide it.
     pub on_top: bool,
 }
 

@@ -1,4 +1,4 @@
-//! The order in which samples are drawn: every beginning of it is well spread over the surface.
+//! The order in which samples are drawn: every beginning of the order is well spread over the surface.
 //!
 //! Samples are put along a curve that fills space (Morton's order), and visited there by van der Corput's
 //! sequence, which halves the gaps again and again; its digits are scrambled (A. B. Owen, 1995; by the hash
@@ -12,8 +12,8 @@ use rayon::prelude::*;
 pub(crate) struct Order {
     /// The samples' indices.
     pub samples: Vec<u32>,
-    /// How many of them make each level: one for each part of the curve, twice as many parts from level to
-    /// level. In between, some parts would have two.
+    /// Number of first samples of each level: one sample for each part of the curve, twice as many parts
+    /// from level to level. Numbers in between would give two samples to some parts.
     levels: Vec<usize>,
 }
 
@@ -32,13 +32,13 @@ impl Order {
         order
     }
 
-    /// The largest level of at most so many samples, or the smallest that has any.
+    /// Number of samples of the largest level with at most `most`, or of the smallest level.
     pub fn part(&self, most: usize) -> usize {
         let within = self.levels.partition_point(|level| *level <= most.max(1));
         self.levels[within.saturating_sub(1)]
     }
 
-    /// The level of about one of 2^`times` samples.
+    /// Number of samples of the level with about one of 2^`times` of all.
     pub fn halved(&self, times: usize) -> usize {
         self.levels[(self.levels.len() - 1).saturating_sub(times)]
     }
@@ -110,8 +110,8 @@ mod tests {
         }
     }
 
-    /// In every beginning, the emptiest stretch of the curve is hardly longer than what is due to each
-    /// sample.
+    /// In every beginning of the order, the longest stretch of the curve without a sample is hardly longer
+    /// than the part that is due to each sample.
     #[test]
     fn beginnings_leave_no_gaps() {
         for bits in [1, 8, 12] {

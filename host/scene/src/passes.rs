@@ -14,7 +14,7 @@ use crate::targets::{OCCLUSION, Targets};
 pub(crate) struct Passes {
     occlusion: ScenePass,
     shade: ScenePass,
-    /// For more pixels than the finished picture has, as many, and fewer.
+    /// Passes that finish pictures drawn in more pixels than the picture has, in as many, and in fewer.
     finish: [ScenePass; 3],
     sampler: wgpu::Sampler,
 }
@@ -25,7 +25,7 @@ struct ScenePass {
     given: BindGroupLayout,
 }
 
-/// What the passes read of the targets.
+/// Bindings of the targets that the passes read.
 pub(crate) struct PassBindGroups {
     occlusion: BindGroup,
     shade: BindGroup,
@@ -74,7 +74,7 @@ impl Passes {
     pub fn groups(&self, device: &Device, targets: &Targets) -> PassBindGroups {
         let texture = wgpu::BindingResource::TextureView;
         let seen = &targets.seen;
-        // Without a ghost, the shader does not look at it.
+        // Without a ghost, the shader does not read these.
         let ghost = targets.ghost.as_ref().unwrap_or(seen);
         let shade = [&seen.color, &seen.normal, &seen.depth, &targets.occlusion, &ghost.normal, &ghost.depth];
         let finish = [texture(&targets.lit), wgpu::BindingResource::Sampler(&self.sampler)];
@@ -133,7 +133,7 @@ impl ScenePass {
 }
 
 impl Targets {
-    /// The number of the pipeline that finishes pictures of these sizes.
+    /// Number of the pipeline that finishes a picture of these sizes.
     fn way(&self) -> usize {
         match self.size[0].cmp(&self.finished_size[0]) {
             Ordering::Greater => 0,

@@ -12,19 +12,19 @@ macro_rules! shader {
 }
 pub(crate) use shader;
 
-/// What a shader is given.
+/// Kind of a shader's input.
 #[derive(Clone, Copy)]
 pub(crate) enum ShaderInput {
     Uniform,
     Storage,
-    /// Read pixel by pixel.
+    /// A texture that is read pixel by pixel.
     Texture,
-    /// Read between pixels, too.
+    /// A texture that is read between pixels, too.
     Smooth,
     Sampler,
 }
 
-/// The layout of a group: what it gives, by binding.
+/// Layout of a group: the kinds of its resources, by binding.
 pub(crate) fn layout(device: &Device, label: &str, given: &[ShaderInput]) -> BindGroupLayout {
     let texture = |filterable| BindingType::Texture {
         sample_type: TextureSampleType::Float { filterable },
@@ -82,7 +82,7 @@ pub(crate) struct Recipe<'a> {
     pub vertex: &'a str,
     pub fragment: &'a str,
     pub targets: &'a [ColorTargetState],
-    /// Whether it is tested against depths, and whether it writes its own.
+    /// Whether the pipeline writes depths; nothing where it does not test them either.
     pub depth: Option<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! A scene: what is shown, and what has changed since the last picture.
+//! A scene: the surfaces and marks that are shown, and their changes since the last picture.
 
 mod drawing;
 mod moving;
@@ -22,7 +22,7 @@ use crate::triangles::TriangleMesh;
 use crate::view::{PixelScale, SceneStyle, SceneView};
 use stage::{FilledSplats, SizedTargets, Uniform};
 
-/// In so many frames for each pass, at most, all splats are drawn at rest.
+/// Greatest number of frames for each pass in which all splats are drawn at rest.
 const MOST_STEPS: usize = 64;
 
 /// A surface, maybe a ghost of another one, lines and dots, and the picture of them.
@@ -38,34 +38,34 @@ pub struct Scene {
     detail_frame: Uniform,
     ghost_frame: Uniform,
     surface: Option<Cloud>,
-    /// So many samples of it, of those that are drawn first, are where they belong ...
+    /// Number of the surface's samples, of those that are drawn first, that are up to date ...
     placed: usize,
-    /// ... and the first ones, as they were asked for last.
+    /// ... and the first samples, as they were asked for last.
     first: Option<First>,
     /// More splats of the surface, by numbers that others gave them.
     details: BTreeMap<u64, Cloud>,
     ghost: Option<Cloud>,
-    /// By how finely they are drawn.
+    /// Targets for each scale of pixels.
     stages: BTreeMap<PixelScale, SizedTargets>,
     finished: Option<(Texture, TextureView)>,
-    /// What the picture is of, while surfaces are as they were.
+    /// View and style of the picture, while surfaces are as they were.
     of: Option<(SceneView, SceneStyle)>,
-    /// The stage that the picture comes from.
+    /// Scale of pixels at which the picture was drawn.
     shown: PixelScale,
     drawn: SurfaceShare,
-    /// How far all splats are summed up, for the picture that follows one of a part of them.
+    /// Splats that are summed up so far, for the picture that follows one of a part of the splats.
     filled: FilledSplats,
     marks_changed: bool,
 }
 
-/// How much of the surface the picture shows.
+/// Share of the surface that the picture shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SurfaceShare {
     /// Splats drawn (triangles, where these are shown) ...
     pub drawn: usize,
-    /// ... of so many.
+    /// ... and number of all.
     pub of: usize,
-    /// Whether the picture is as it shall be: else [`Scene::render`] has more to draw, when it is called
+    /// Whether the picture is complete: if not, [`Scene::render`] has more to draw, when it is called
     /// again.
     pub complete: bool,
 }
@@ -106,8 +106,8 @@ impl Scene {
         &self.gpu
     }
 
-    /// Shows another surface. What it takes per sample: 28 bytes of the device's memory, 4 here; 12 there per
-    /// triangle.
+    /// Shows another surface. A sample takes 28 bytes of the device's memory and 4 of the program's, a
+    /// triangle 12 of the device's.
     ///
     /// # Errors
     /// The surface's lists do not fit together.
@@ -120,7 +120,7 @@ impl Scene {
     /// Moves the surface's samples: for each frame of a drag.
     ///
     /// # Errors
-    /// There are not as many as before.
+    /// The lists are not as long as before.
     pub fn set_positions(&mut self, positions: &[Vec3], normals: &[Vec3]) -> Result<(), BadSurface> {
         let samples = self.samples();
         same_length("positions", positions.len(), samples)?;
@@ -136,7 +136,7 @@ impl Scene {
     /// them.
     ///
     /// # Errors
-    /// There are some, but not as many as samples.
+    /// There are axes, but not as many as samples.
     pub fn set_axes(&mut self, axes: &[[Vec3; 2]]) -> Result<(), BadSurface> {
         let samples = self.samples();
         same_length("axes", if axes.is_empty() { samples } else { axes.len() }, samples)?;
@@ -150,7 +150,7 @@ impl Scene {
     /// Changes the surface's colours (see [`SceneSurface::colors`]) and radii.
     ///
     /// # Errors
-    /// There are not as many as samples.
+    /// The lists are not as long as the samples.
     pub fn set_colors(&mut self, radii: &[f32], colors: Option<&[[u8; 3]]>) -> Result<(), BadSurface> {
         let samples = self.samples();
         same_length("radii", radii.len(), samples)?;
@@ -162,9 +162,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Shows more splats with the surface, as one with it: a part of it in more detail, say, where the
-    /// surface's own radii are negative. It takes the place of that of the same number; or that one goes. Its
-    /// triangles are not used, and while there is any, neither are those of the surface.
+    /// Shows more splats with the surface, as one with it: a part of the surface in more detail, for
+    /// example, where the surface's own radii are negative. They take the place of the detail of the same
+    /// number; without a detail, that one goes. The triangles of details are not used, and while there is a
+    /// detail, neither are those of the surface.
     ///
     /// # Errors
     /// The detail's lists do not fit together.
@@ -180,10 +181,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Changes the radii and colours of such splats.
+    /// Changes the radii and colours of the detail of a number.
     ///
     /// # Errors
-    /// There are not as many of that number.
+    /// The detail of that number does not have as many splats.
     pub fn set_detail_colors(
         &mut self,
         number: u64,
@@ -228,22 +229,22 @@ impl Scene {
         self.surface.as_ref().map_or(0, Cloud::len)
     }
 
-    /// Number of the splats that all of it takes, with its details.
+    /// Number of splats of the whole surface, with its details.
     pub fn splats(&self) -> usize {
         self.samples() + self.details.values().map(Cloud::len).sum::<usize>()
     }
 
-    /// How much of the surface the last picture shows.
+    /// Share of the surface that the last picture shows.
     pub fn drawn(&self) -> SurfaceShare {
         self.drawn
     }
 
-    /// Draws what has changed, and gives the picture: another texture whenever its size changes, the same
+    /// Draws the changes, and returns the picture: another texture whenever its size changes, the same
     /// otherwise.
     ///
-    /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
-    /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a
-    /// picture of some more splats, until [`SurfaceShare::complete`].
+    /// Without a budget all splats are drawn at once, and the device may go on drawing when this returns.
+    /// With a budget, a changed scene is drawn as well as the time allows; then calls draw more, and every
+    /// few of them show a picture of some more splats, until [`SurfaceShare::complete`].
     pub fn render(
         &mut self,
         view: &SceneView,
@@ -273,7 +274,8 @@ impl Scene {
         }
         self.gpu.queue.submit([encoder.finish()]);
         if let Some(budget) = budget {
-            // Else frames pile up before the device, and the hand is seconds ahead of the picture.
+            // Without this wait frames pile up before the device, and the hand is seconds ahead of the
+            // picture.
             self.gpu.wait();
             if changed {
                 budget.learn(started.elapsed(), self.drawn.drawn == self.drawn.of);
@@ -284,7 +286,7 @@ impl Scene {
         &self.finished.as_ref().expect("a first picture makes it").1
     }
 
-    /// What the device can draw of this.
+    /// View and style within the limits of the device.
     fn drawable(&self, view: &SceneView, style: &SceneStyle) -> (SceneView, SceneStyle) {
         let most = self.gpu.device.limits().max_texture_dimension_2d;
         let view = SceneView { size: view.size.map(|s| s.clamp(1, most)), ..*view };

@@ -3,8 +3,8 @@
 //! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005.
 //!
 //! The first pass finds the nearest surface, and puts it back by a part of the discs' radii. The second one
-//! sums up the colours, normals and depths of what is not behind it, by a weight that falls to nothing at a
-//! disc's border; their means are the surface that is seen.
+//! sums up the colours, normals and depths of the splats that are not behind this surface, by a weight that
+//! falls to nothing at a disc's border; the means are the surface that is seen.
 
 use std::ops::Range;
 
@@ -22,14 +22,14 @@ pub(crate) struct SplatPasses {
     sums: BindGroupLayout,
 }
 
-/// Some places of a cloud's order, drawn by a frame's values.
+/// Range of places in a cloud's order, drawn with a frame's values.
 pub(crate) struct CloudRange<'a> {
     pub frame: &'a BindGroup,
     pub cloud: &'a Cloud,
     pub places: Range<usize>,
 }
 
-/// What the passes read of the targets.
+/// Bindings of the targets that the passes read.
 pub(crate) struct SplatBindGroups {
     nearest: BindGroup,
     sums: BindGroup,
@@ -94,7 +94,7 @@ impl SplatPasses {
         }
     }
 
-    /// First pass; anew, or over what is there.
+    /// Draws the first pass, over the former content or anew.
     pub fn depth(
         &self,
         encoder: &mut CommandEncoder,
@@ -109,7 +109,7 @@ impl SplatPasses {
         draw(&mut pass, parts);
     }
 
-    /// Second pass, once the first one is done; anew, or more of it.
+    /// Draws the second pass, once the first one is done: anew, or over the former content.
     pub fn blend(
         &self,
         encoder: &mut CommandEncoder,
@@ -126,7 +126,7 @@ impl SplatPasses {
         draw(&mut pass, parts);
     }
 
-    /// The means of the sums.
+    /// Draws the means of the sums.
     pub fn resolve(
         &self,
         encoder: &mut CommandEncoder,

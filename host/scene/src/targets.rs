@@ -9,24 +9,24 @@ pub(crate) const SUMS: TextureFormat = TextureFormat::Rgba16Float;
 pub(crate) const DEPTHS: TextureFormat = TextureFormat::R32Float;
 /// Occlusion, and depths.
 pub(crate) const OCCLUSION: TextureFormat = TextureFormat::Rg32Float;
-/// What a surface's colour, normal and depth are written in.
+/// Formats of a surface's colour, normal and depth.
 pub(crate) const SEEN: [TextureFormat; 3] = [TextureFormat::Rgba8Unorm, TextureFormat::Rgba16Float, DEPTHS];
 
 /// All textures of a size but the finished one: 46 bytes per pixel, 16 more with a ghost.
 pub(crate) struct Targets {
-    /// Drawn pixels.
+    /// Width and height in drawn pixels.
     pub size: [u32; 2],
-    /// Pixels of the picture.
+    /// Width and height of the picture in pixels.
     pub finished_size: [u32; 2],
-    /// For the test of depths.
+    /// Buffer for the test of depths.
     pub depth: TextureView,
-    /// What splats leave: depth of the nearest, sums of colours, sums of normals and depths.
+    /// Sums over splats: depth of the nearest, sums of colours, sums of normals and depths.
     pub nearest: TextureView,
     pub colors: TextureView,
     pub surfaces: TextureView,
-    /// What is seen of the surface.
+    /// Visible surface.
     pub seen: SurfaceTargets,
-    /// What is seen of the ghost, once there is one.
+    /// Visible surface of the ghost, once there is one.
     pub ghost: Option<SurfaceTargets>,
     pub occlusion: TextureView,
     pub lit: TextureView,
@@ -65,7 +65,7 @@ impl SurfaceTargets {
         Self { color, normal, depth }
     }
 
-    /// To be cleared and written.
+    /// Attachments, which are cleared and written.
     pub fn attachments(&self) -> [(&TextureView, Option<wgpu::Color>); 3] {
         [&self.color, &self.normal, &self.depth].map(|view| (view, Some(wgpu::Color::TRANSPARENT)))
     }
@@ -95,7 +95,7 @@ pub(crate) fn texture(
 }
 
 impl SurfaceTargets {
-    /// Nothing is seen.
+    /// Clears the targets: no surface is seen.
     pub fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
         begin(encoder, "nothing", &self.attachments(), None);
     }

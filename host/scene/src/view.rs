@@ -1,14 +1,14 @@
-//! From where and how a scene is shown.
+//! View and style in which a scene is shown.
 
 use glam::{Mat4, Vec4};
 
-/// The view of a scene: from where.
+/// View of a scene: camera and size of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneView {
-    /// From local coordinates to the eye's: right, up, backward. A motion, without scaling.
+    /// Map from local coordinates to the eye's: right, up, backward. A rigid motion, without scaling.
     pub view: Mat4,
-    /// From there to clip coordinates: depth from 0 (near) to 1; perspective or parallel, for instance
-    /// `perspective` or `orthographic` of [`glam::camera::rh::proj::directx`].
+    /// Map from the eye's coordinates to clip coordinates: depth from 0 (near) to 1; perspective or
+    /// parallel, for instance `perspective` or `orthographic` of [`glam::camera::rh::proj::directx`].
     pub projection: Mat4,
     /// Width and height of the picture in pixels; 0 is taken as 1.
     pub size: [u32; 2],
@@ -17,24 +17,24 @@ pub struct SceneView {
 /// The style of the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneStyle {
-    /// What stands for the surface.
+    /// Kind of drawing of the surface.
     pub mode: SurfaceMode,
     /// Whether samples show their own colours, or all the same clay.
     pub own_colors: bool,
-    /// What is behind the surface.
+    /// Background behind the surface.
     pub background: Background,
     /// The light.
     pub light: Light,
     /// Whether crevices are darker.
     pub occlusion: bool,
-    /// Whether the surface is seen from its back, too: for what is not closed.
+    /// Whether the surface is drawn from its back, too: for surfaces that are not closed.
     pub two_sided: bool,
-    /// What lies beyond a plane is cut away: where `n · p > d`, for the plane (n, d) in local coordinates.
-    /// What is seen of the inside is reddish then.
+    /// Plane (n, d) in local coordinates beyond which the surface is cut away: where `n · p > d`. The
+    /// visible inside is reddish then.
     pub clip: Option<Vec4>,
-    /// How much the ghost hides, from 0 to 1.
+    /// Opacity of the ghost, from 0 to 1.
     pub ghost_opacity: f32,
-    /// How finely it is drawn.
+    /// Scale of the drawn pixels.
     pub scale: PixelScale,
 }
 
@@ -54,7 +54,7 @@ impl Default for SceneStyle {
     }
 }
 
-/// What stands for the surface.
+/// Kind of drawing of the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SurfaceMode {
     /// A disc for each sample.
@@ -63,16 +63,16 @@ pub enum SurfaceMode {
     Triangles,
 }
 
-/// What is behind the surface: both are gradients from above to below.
+/// Background behind the surface, a gradient from above to below or one colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Background {
     /// Paper.
     Light,
     /// Slate.
     Dark,
-    /// One colour, for pictures that are [cut out](simod_picture::CutOut) of two.
+    /// Black everywhere, for pictures that are [cut out](simod_picture::CutOut) of two.
     Black,
-    /// Another one.
+    /// White everywhere, likewise.
     White,
 }
 
@@ -81,19 +81,19 @@ pub enum Background {
 pub enum Light {
     /// A key light from the upper left, a weaker one from the right.
     Key,
-    /// From the eye.
+    /// Light from the eye.
     Head,
-    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch,
-    /// *The Lit Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
+    /// Light from all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch,
+    /// B. Gooch, *The Lit Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
     Matcap(Matcap),
 }
 
-/// What the ball looks like by which the surface is lit.
+/// Look of the ball by which the surface is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Matcap {
     /// Glossy, below a wide lamp: forms are read easily.
     Ceramic,
-    /// A polished one, in which a horizon is mirrored.
+    /// Polished, with a horizon mirrored in the ball.
     Metal,
     /// Soft and warm: dark where it turns away.
     Wax,
@@ -101,14 +101,14 @@ pub enum Matcap {
     Stripes,
 }
 
-/// How many pixels are drawn for a pixel of the picture.
+/// Number of pixels that are drawn for a pixel of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PixelScale {
-    /// One for four: coarse, for software that draws while something moves.
+    /// One drawn pixel for four of the picture: coarse, for software that draws while something moves.
     Half,
-    /// One each, with edges smoothed afterwards.
+    /// One drawn pixel for each, with edges smoothed afterwards.
     Full,
-    /// Four for one: the smoothest, for fast cards and pictures.
+    /// Four drawn pixels for one: the smoothest, for fast cards and pictures.
     Double,
 }
 

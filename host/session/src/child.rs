@@ -1,4 +1,4 @@
-//! Other processes of this program, which may come to any end.
+//! Other processes of this program, which may end in any way.
 
 mod ended;
 
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use simod_model::{Error, Progress, Result};
 
-/// Bytes that are kept of what a process prints: the last ones.
+/// Number of bytes that are kept of the text that a process prints: the last ones.
 const KEPT: usize = 64 << 10;
 
 /// The end of a process.
@@ -23,7 +23,7 @@ pub enum End {
     TooLong,
     /// The process asked for more memory than it may have.
     OutOfMemory,
-    /// Otherwise: by a signal, or an exit code.
+    /// The process ended badly otherwise: by a signal, or with an exit code.
     Badly(String),
 }
 
@@ -31,9 +31,9 @@ pub enum End {
 pub struct Outcome {
     /// The process's end.
     pub end: End,
-    /// What it printed on standard output, its end.
+    /// The end of what the process printed on standard output.
     pub output: String,
-    /// The last line that it printed on standard error; may be empty.
+    /// The last line that the process printed on standard error; may be empty.
     pub last_error: String,
 }
 
@@ -71,12 +71,13 @@ pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Res
     Ok(Outcome { end, output, last_error })
 }
 
-/// Whether a process that printed this had no more memory: what Rust, C++ and Python say before they give up.
+/// Whether a process that printed this ran out of memory: Rust, C++ and Python print one of these texts
+/// before they give up.
 pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
     ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|text| errors.contains(text))
 }
 
-/// The end of what a process prints, read by a thread, so that it never waits for a reader.
+/// End of the text that a process prints, read by a thread, so that the process never waits for a reader.
 pub struct Tail {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: Option<std::thread::JoinHandle<()>>,
@@ -115,7 +116,7 @@ impl Tail {
     }
 }
 
-/// How a process ended, to complete a sentence.
+/// End of a process in words, to complete a sentence.
 #[cfg(unix)]
 pub(crate) fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
@@ -146,18 +147,17 @@ fn describe_code(status: ExitStatus) -> String {
 /// Whether [`limit_memory`] has an effect on this system.
 pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 
-/// Ends this process together with the one of this number that started it; at once, if that has ended
+/// Ends this process together with the process of this number that started it; at once, if that one has ended
 /// already. On Linux by a signal of the system's; elsewhere a process that does not listen goes on for a
 /// moment when the other one is killed.
 pub fn end_with(parent: u32) {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Signal, set_parent_process_death_signal};
-        // No reason not to go on where it does not work.
+        // A system on which this does not work is no reason to stop.
         let _ = set_parent_process_death_signal(Some(Signal::KILL));
     }
-    // The parent may have ended before the signal was asked for. Whoever is the parent then, it is another
-    // one.
+    // The parent may have ended before the signal was asked for: the parent is another process then.
     #[cfg(unix)]
     if std::os::unix::process::parent_id() != parent {
         std::process::exit(1);
@@ -166,11 +166,11 @@ pub fn end_with(parent: u32) {
     let _ = parent;
 }
 
-/// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the
-/// disk when it crashes. On Linux; other systems have no such limits.
+/// Limits the memory of this process to so many bytes from now on, and keeps it from leaving an image of its
+/// memory on the disk when it crashes. On Linux; other systems have no such limits.
 ///
-/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are
-/// not used, the arenas of the C library.
+/// Memory that threads reserve comes on top: their stacks, and for all addresses, which also count where they
+/// are not used, the arenas of the C library.
 #[cfg(target_os = "linux")]
 pub fn limit_memory(bytes: u64) -> Result<()> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -222,7 +222,7 @@ mod tests {
         assert!(matches!(shell("kill -11 $$").end, End::Badly(how) if how.starts_with("ended by signal 11")));
         let dry = "echo 'memory allocation of 8 bytes failed' >&2; exit 1";
         assert!(matches!(shell(dry).end, End::OutOfMemory));
-        // What is too much to keep does not stop the process.
+        // Output that is too much to keep does not stop the process.
         assert!(shell("yes | head -c 1000000").output.len() <= 2 * KEPT);
     }
 }

@@ -17,13 +17,13 @@ use std::sync::Arc;
 pub struct DeformedSamples {
     /// The model with its samples at rest, with those that steps appended.
     pub sampled: Arc<SampledModel>,
-    /// One per sample, rounded to what a file of them holds.
+    /// Positions, one per sample, rounded as a file of samples holds them.
     pub positions: DeformedPositions,
     /// Unit normals, derived from the positions.
     pub normals: Vec<Vec3>,
     /// The exact map, where all plugins know it.
     pub stack: PreparedStack,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
 }
 

@@ -1,5 +1,5 @@
-//! Keys of what is kept from one evaluation to the next: hashes of all that a result came from, number by
-//! number and bit by bit. How something is printed has no say.
+//! Keys of results that are kept from one evaluation to the next: hashes of all that a result came from,
+//! number by number and bit by bit. The printed form of a value does not matter.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -33,10 +33,10 @@ impl Key {
     }
 }
 
-/// What a key can be of. What differs is added as different bytes: lengths before lists and texts, a number
+/// Content of a key. Different content is added as different bytes: lengths before lists and texts, a number
 /// before each case.
 pub trait Keyed {
-    /// Adds all of it.
+    /// Adds all of the content to the key.
     fn add_to(&self, key: &mut Key);
 }
 

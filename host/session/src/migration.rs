@@ -12,7 +12,7 @@ use std::sync::Arc;
 /// Whole numbers up to this are exact.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-/// A step, as the plugin has it now; nothing where it is so already. What was done is in its notes.
+/// Brings a step up to the plugin of now; none where the step is so already. The changes are in its notes.
 ///
 /// # Errors
 /// The step is of a later version than the plugin, gives a parameter by both of its names, or the plugin
@@ -82,7 +82,7 @@ pub(crate) fn in_its_words(error: Error, step: &Deformation, plugin: &Plugin) ->
     }
 }
 
-/// A parameter gets its present name; whether it had the former one.
+/// Renames a parameter to its present name; returns whether it had the former one.
 fn rename(params: &mut toml::Table, former: &str, now: &str, plugin: &Plugin) -> Result<bool> {
     let Some(value) = params.remove(former) else { return Ok(false) };
     if params.insert(now.to_owned(), value).is_some() {
@@ -93,7 +93,7 @@ fn rename(params: &mut toml::Table, former: &str, now: &str, plugin: &Plugin) ->
     Ok(true)
 }
 
-/// Some of what differs, in words.
+/// Some of the differences, in words.
 fn changes(before: &toml::Table, after: &toml::Table) -> String {
     const MOST: usize = 4;
     let text = |(id, value): (&String, &toml::Value)| {
@@ -117,7 +117,7 @@ fn changes(before: &toml::Table, after: &toml::Table) -> String {
     }
 }
 
-/// What the plugin makes of parameters.
+/// Returns the plugin's parameters of now for those of an older state version.
 fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result<toml::Table> {
     let call = format!("plugin {}: state version {from} to {now}", plugin.id());
     let settings = params.iter().map(|(id, value)| {
@@ -137,7 +137,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     for new in given {
         let d = plugin.params().iter().find(|d| d.id == new.id);
         let value = match settings.iter().find(|old| **old == new) {
-            // As the user wrote it.
+            // The value stays as the user wrote it.
             Some(_) => params.get(new.id.as_str()).cloned(),
             None => d.and_then(|d| value(d, &new)),
         };
@@ -154,7 +154,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     Ok(table)
 }
 
-/// Whether what a plugin gives is no more than anybody needs.
+/// Whether the number and lengths of the settings that a plugin gives are within the limits.
 fn check(settings: &[Setting]) -> std::result::Result<(), String> {
     if settings.len() > limits::LONGEST_LIST {
         return Err(format!("it gives {} parameters", settings.len()));
@@ -170,7 +170,7 @@ fn check(settings: &[Setting]) -> std::result::Result<(), String> {
     }
 }
 
-/// A value of a session, as plugins take it; nothing for what no parameter is.
+/// Setting of a session's value, as plugins take it; none for a value that no parameter can have.
 fn setting(id: &str, value: &toml::Value) -> Option<Setting> {
     let number = |value: &toml::Value| match value {
         toml::Value::Float(x) => Some(*x),
@@ -199,7 +199,7 @@ fn setting(id: &str, value: &toml::Value) -> Option<Setting> {
     }
 }
 
-/// A value as a session has it, of the kind that the parameter has now.
+/// Value of a session, of the kind that the parameter has now, for a setting of the plugin.
 fn value(d: &ParamDesc, setting: &Setting) -> Option<toml::Value> {
     let list = |numbers: &[f64]| toml::Value::Array(numbers.iter().map(|x| toml::Value::Float(*x)).collect());
     Some(match (d.kind, setting.numbers.as_slice()) {
@@ -219,8 +219,8 @@ fn value(d: &ParamDesc, setting: &Setting) -> Option<toml::Value> {
 }
 
 impl PluginRegistry {
-    /// Brings steps up to the plugins that do them, as they are saved; what was done, in words, each with the
-    /// step's place. Those whose plugin is not there stay as they are.
+    /// Brings steps up to the plugins that do them, as they are saved; returns the changes in words, each
+    /// with the step's place. Steps whose plugin is not there stay as they are.
     ///
     /// # Errors
     /// A step cannot be brought up to its plugin; the error names it.
@@ -253,7 +253,7 @@ mod tests {
     };
     use std::path::Path;
 
-    /// Once it had `size`, which is `radius` now, and `angle` in degrees, which is `turns` now.
+    /// Plugin that once had `size`, which is `radius` now, and `angle` in degrees, which is `turns` now.
     struct Grown;
 
     impl Deformer for Grown {
@@ -352,7 +352,7 @@ mod tests {
         let (step, notes) = becomes("state-version = 2\nparams = { count = 4 }");
         assert_eq!(step.params, "count = 5".parse().unwrap(), "whole numbers stay whole");
         assert_eq!(notes.len(), 1);
-        // A step that is up to date is not changed, but for an alias that somebody still uses.
+        // A step that is up to date is not changed, but for an alias that is still used.
         let (step, notes) = becomes("state-version = 3\nparams = { size = 4, count = 1 }");
         assert_eq!(step.params, "radius = 4\ncount = 1".parse().unwrap());
         assert_eq!(notes.len(), 1);

@@ -1,4 +1,4 @@
-//! How a handle moves.
+//! Motions of handles.
 
 use crate::vector::maybe_three;
 use glam::{DAffine3, DMat3, DVec3};
@@ -11,18 +11,18 @@ use simod_model::frame::Frame;
 pub struct Motion {
     /// The translation, in the model's unit.
     pub translate: DVec3,
-    /// About which it turns; any length but zero where it does turn.
+    /// Axis of the rotation; of any length but zero where there is a rotation.
     pub axis: DVec3,
     /// The angle, right-handed.
     pub degrees: f64,
-    /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a
-    /// region, and where it is at rest for a handle that a plugin placed.
+    /// Point that rotation and scaling leave in place. Unless given, it is the model's own zero for a region,
+    /// and the place at rest for a handle that a plugin placed.
     pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
     pub scale: f64,
 }
 
-/// A motion as files have it: what differs from none at all.
+/// Motion as files have it: only what differs from no motion.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct MotionTable {
@@ -73,7 +73,7 @@ impl Default for Motion {
 }
 
 impl Motion {
-    /// What is wrong with it, or nothing.
+    /// Defect of the motion, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         let Self { translate, axis, degrees, pivot, scale } = *self;
         if !(translate.is_finite() && axis.is_finite() && pivot.is_none_or(DVec3::is_finite)) {

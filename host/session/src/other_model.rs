@@ -1,4 +1,5 @@
-//! Other models than the one that is deformed, as plugins take them: points, in its local coordinates.
+//! Other models than the one that is deformed, as plugins take them: points, in the local coordinates of the
+//! deformed model.
 //!
 //! A model is sampled, to as many points as the plugin takes. Samples that the user has are taken as they
 //! are, so that each can be told by its id: the folder of a sampled model, and files of samples that anything
@@ -20,7 +21,7 @@ use std::time::SystemTime;
 /// Most samples that are taken as they are.
 const MOST_SAMPLES: u64 = 1 << 22;
 
-/// The file that says what a sampled model is, and its samples.
+/// File that describes a sampled model, and the file of its samples.
 const OF_SAMPLED: [&str; 2] = ["simod.toml", "samples.ply"];
 
 /// Points of another model.
@@ -101,7 +102,7 @@ impl OtherModel {
         Self::from_samples(kind, SampleSet::new(local, Vec::new())?, &theirs, ids, triangles, frame)
     }
 
-    /// The model by its samples, in local coordinates of their own.
+    /// Model from its samples, in local coordinates of their own.
     fn from_samples(
         (kind, vertices): (api::PointsKind, u64),
         samples: SampleSet,
@@ -126,14 +127,14 @@ impl OtherModel {
         Ok(Self { kind, vertices, positions, normals, ids, triangles })
     }
 
-    /// As plugins have it, for the parameter of an id.
+    /// View of the model as plugins have it, for the parameter of an id.
     pub fn view<'a>(&'a self, param: &'a str) -> api::OtherModel<'a> {
         let Self { kind, vertices, positions, normals, ids, triangles } = self;
         api::OtherModel::new((param, *kind, *vertices), positions, normals, ids, triangles)
     }
 }
 
-/// What tells whether a file is what it was: of a sampled model, its own files.
+/// Stamps by which a change of a file is noticed: for a sampled model, those of its own files.
 pub(crate) fn stamps(path: &Path) -> Vec<(u64, Option<SystemTime>)> {
     let files = match sampled_folder(path) {
         Some(folder) => OF_SAMPLED.iter().map(|name| folder.join(name)).collect(),
@@ -156,7 +157,7 @@ fn too_many(count: u64) -> Error {
     Error::argument(what, "give the model, which is sampled, or fewer samples")
 }
 
-/// Positions and ids of a file of samples; nothing where it is none: where there are no ids, or not one for
+/// Positions and ids of a file of samples; none where the file is no such: it has no ids, or not one for
 /// each.
 ///
 /// # Errors

@@ -10,7 +10,7 @@ use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKin
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-/// Longest file that a plugin is given: it may read all of it.
+/// Longest file in bytes that a plugin is given: the plugin may read all of it.
 const LONGEST_FILE: u64 = 1 << 30;
 
 /// Most points that a plugin takes of another model.
@@ -43,15 +43,15 @@ pub enum ParamValue {
     File(Option<PathBuf>),
 }
 
-/// All parameters of a plugin, in its order: what the user gave, and defaults.
+/// Parameters of a plugin, in its order: those that the user gave, and defaults.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Params {
     values: Vec<(String, ParamKind, ParamValue)>,
 }
 
 impl Params {
-    /// Checks what the user gave (`plugin` names it in errors) against the descriptions. Paths are relative
-    /// to `folder`.
+    /// Checks the parameters that the user gave (`plugin` names the plugin in errors) against the
+    /// descriptions. Paths are relative to `folder`.
     pub fn check(
         plugin: &str,
         descriptions: &[ParamDesc],
@@ -90,7 +90,8 @@ impl Params {
         self.values.iter().map(|(id, _, value)| (id.as_str(), value))
     }
 
-    /// As plugins get them: points and lengths in local coordinates, defaults placed in the model's box.
+    /// Parameters as plugins get them: points and lengths in local coordinates, defaults placed in the
+    /// model's box.
     pub fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
         let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {
             let mut text = String::new();
@@ -180,7 +181,7 @@ impl LocalParams {
         Self(self.0.iter().filter(|(id, ..)| chosen(id)).cloned().collect())
     }
 
-    /// Views of them.
+    /// Views of the parameters, as plugins take them.
     pub fn views(&self) -> Vec<Param<'_>> {
         self.0
             .iter()
@@ -276,7 +277,7 @@ fn choice(plugin: &str, d: &ParamDesc, choice: &str) -> Result<ParamValue> {
     Err(Error::argument(format!("parameter `{}` of {plugin} cannot be `{choice}`", d.id), hint))
 }
 
-/// What to do about a value that is out of range.
+/// Advice about a value that is out of range.
 fn range_hint(d: &ParamDesc) -> String {
     let id = &d.id;
     match d.kind {
@@ -294,7 +295,7 @@ fn default_number(d: &ParamDesc) -> String {
     d.default_numbers.first().copied().unwrap_or_default().to_string()
 }
 
-/// The whole number in range that is nearest to what was given, or the default where that is no number.
+/// Whole number in range that is nearest to the given number, or the default where that is no number.
 fn nearest_whole(d: &ParamDesc, value: &toml::Value) -> String {
     let [min, max] = d.hard_range;
     match number(value).filter(|x| x.is_finite()) {
@@ -377,7 +378,7 @@ fn numbers(value: &toml::Value) -> Option<Vec<[f64; 2]>> {
     value.as_array()?.iter().map(array).collect()
 }
 
-/// A file that is there, of a name that the plugin takes; or what is wrong, and what to do.
+/// File that is there, of a name that the plugin takes; or the fault and the advice.
 fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamValue, (String, String)> {
     let id = &d.id;
     if path.is_empty() {
@@ -402,7 +403,7 @@ fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamVa
     absolute(d, &full)
 }
 
-/// Another model that is there, or the folder of a sampled one; what it is shows when it is read.
+/// Another model that is there, or the folder of a sampled one; its content is checked when it is read.
 fn other_model(
     d: &ParamDesc,
     folder: &Path,
@@ -418,7 +419,7 @@ fn other_model(
     absolute(d, &full)
 }
 
-/// A path that is there, whatever the current folder is.
+/// Absolute path of a file that is there, independent of the current folder.
 fn absolute(d: &ParamDesc, path: &Path) -> std::result::Result<ParamValue, (String, String)> {
     let id = &d.id;
     let full = path.canonicalize().map_err(|e| {
@@ -467,7 +468,7 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
 pub struct ParamText {
     /// The parameter's id.
     pub id: String,
-    /// What it is shown together with; empty for nothing.
+    /// Group with which the parameter is shown; empty for none.
     pub group: String,
     /// The parameter's kind, default, range and hint.
     pub text: String,
@@ -523,7 +524,7 @@ fn describe(d: &ParamDesc) -> String {
     format!("{hint}: {kind}; default {default}{unit}")
 }
 
-/// What a kind is called, for programs.
+/// Name of a kind, for programs.
 fn kind_name(kind: ParamKind) -> &'static str {
     match kind {
         ParamKind::FLOAT => "float",
@@ -592,7 +593,7 @@ pub fn is_id(id: &str) -> bool {
     !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
 }
 
-/// What is wrong with a plugin's description of itself.
+/// Checks a plugin's description of itself; the error names the first defect.
 pub fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
     limits::check(descriptor)?;
     if !is_id(&descriptor.id) {
@@ -627,7 +628,7 @@ pub fn check_description(descriptor: &Descriptor) -> std::result::Result<(), Str
     Ok(())
 }
 
-/// What is wrong with what a plugin says of its older sessions.
+/// Checks a plugin's description of its older sessions; the error names the first defect.
 pub fn check_migration(descriptor: &Descriptor, migration: &Migration) -> std::result::Result<(), String> {
     let Migration { state_version, aliases } = migration;
     if *state_version == 0 {

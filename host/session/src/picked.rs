@@ -1,5 +1,5 @@
-//! A part of a model that a hand selected, as geometry: points that are in it, and points next to them that
-//! are not.
+//! A part of a model that the user selected by hand, as geometry: points inside, and points next to them
+//! outside.
 
 use crate::key::{Key, Keyed};
 use crate::side_file::{MOST_IN_SESSION, Reference, SideFileKind, write as write_file};
@@ -11,9 +11,8 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use xxhash_rust::xxh3::xxh3_128;
 
-/// Points of a model that were selected, and points around them that were not; model coordinates. Where both
-/// are told, any other point belongs to what is nearer, so the part of the model is the same on any sampling
-/// of it.
+/// Points of a model that were selected, and points around them that were not; model coordinates. Any other
+/// point belongs to the nearer one of both, so the part of the model is the same on any sampling of it.
 ///
 /// Memory: 24 bytes a point, and 32 more once distances are asked for. A clone shares it.
 #[derive(Clone)]
@@ -22,23 +21,23 @@ pub struct PickedPoints(Arc<PickedContent>);
 struct PickedContent {
     inside: Vec<DVec3>,
     outside: Vec<DVec3>,
-    /// A file of them that was not read yet.
+    /// File of the points, if it was not read yet.
     file: Option<Reference>,
-    /// Stands for all of it.
+    /// Hash of all points, which stands for them.
     hash: u128,
     search: OnceLock<PickedSearch>,
 }
 
 /// Finds the nearest of points.
 struct PickedSearch {
-    /// Nothing where there are no points.
+    /// Trees of the points; none where there are no points.
     inside: Option<ImmutableKdTree<f64, 3>>,
     outside: Option<ImmutableKdTree<f64, 3>>,
     /// Half of the distance from each point inside to the nearest outside: where the border is.
     half_gaps: Vec<f64>,
 }
 
-/// As files have it: the points, or a file of them.
+/// Selection as files have it: its points, or a file of them.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct Raw {
@@ -51,8 +50,8 @@ struct Raw {
 }
 
 impl PickedPoints {
-    /// A region of points that are in it, and others that are not. Points outside have to be there wherever
-    /// the model goes on; none says that all of it is selected.
+    /// Selection of points inside, and others outside. There have to be points outside wherever the model
+    /// goes on; no points outside mean that all of the model is selected.
     pub fn new(inside: Vec<DVec3>, outside: Vec<DVec3>) -> Self {
         Self::from_parts(inside, outside, None)
     }
@@ -64,7 +63,7 @@ impl PickedPoints {
         Self(Arc::new(PickedContent { inside, outside, file, hash, search: OnceLock::new() }))
     }
 
-    /// The points that are in it.
+    /// Points inside.
     pub fn inside(&self) -> &[DVec3] {
         &self.0.inside
     }
@@ -74,7 +73,7 @@ impl PickedPoints {
         &self.0.outside
     }
 
-    /// What is wrong with it, or nothing.
+    /// Defect of the selection, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         let all = || self.0.inside.iter().chain(&self.0.outside);
         if self.0.file.is_some() {
@@ -104,7 +103,7 @@ impl PickedPoints {
         if near <= 0.0 { near } else { near.max(to_inside - search.half_gaps[i]) }
     }
 
-    /// Reads the file that it is in, if it is in one; `folder` is the session's.
+    /// Reads the selection's file, if it is in one; `folder` is the session's.
     ///
     /// # Errors
     /// The file cannot be read, or is not what the session was saved with.
@@ -117,12 +116,12 @@ impl PickedPoints {
         })
     }
 
-    /// Whether it is too long for a readable file.
+    /// Whether the selection is too long for a readable file.
     pub(crate) fn is_long(&self) -> bool {
         self.0.inside.len() + self.0.outside.len() > MOST_IN_SESSION
     }
 
-    /// The samples that were picked in a file beside a session, if it is too long for the session itself.
+    /// Writes the points to a file beside a session, if the selection is too long for the session itself.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -134,7 +133,7 @@ impl PickedPoints {
         write_file(session, SideFileKind::Selection, &content).map(Some)
     }
 
-    /// What stands for it where it is in a file.
+    /// Stand-in for a selection that is in a file.
     pub(crate) fn in_file(file: Reference) -> Self {
         Self::from_parts(Vec::new(), Vec::new(), Some(file))
     }
@@ -158,7 +157,7 @@ impl PickedSearch {
     }
 }
 
-/// The point nearest to `p`, and how far it is.
+/// Index of the point nearest to `p`, and its distance.
 fn nearest(tree: Option<&ImmutableKdTree<f64, 3>>, points: &[DVec3], p: DVec3) -> Option<(usize, f64)> {
     let found = tree?.query(&p.to_array()).nearest_one::<SquaredEuclidean<f64>>().execute();
     let i = found.item as usize;

@@ -100,7 +100,7 @@ pub(crate) fn sampled_of(
     Ok(sampled)
 }
 
-/// How a session's model is sampled, without what it has no use for.
+/// Options for sampling a session's model, without the parts that the session has no use for.
 pub(crate) fn sampling_of(session: &SessionFile, skip: Skip) -> Sampling {
     let sampling = Sampling::from(session.sampling);
     let skip = Skip { sheets: sampling.skip.sheets, ..skip };
@@ -113,7 +113,7 @@ pub struct MovedSamples {
     pub sampled: Arc<SampledModel>,
     /// Local positions, one per sample, which nothing rounded.
     pub positions: Arc<[Vec3]>,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
 }
 
@@ -143,7 +143,7 @@ pub fn deform_from(
 }
 
 /// Writes the model as its samples were deformed, from `model`, which was sampled, to a file of its own
-/// format or of another one that the name says. Of `running`, what is of the writing counts.
+/// format or of another one that the file's name says. Of `running`, the options of writing count.
 ///
 /// # Errors
 /// As of [`reconstruct`]; another format cannot hold all.
@@ -179,12 +179,12 @@ pub(crate) fn note_losses(converted: &Converted, progress: &dyn Progress) {
     }
 }
 
-/// How a session is run.
+/// Options of running a session.
 #[derive(Debug, Clone, Copy)]
 pub struct Running<'a> {
-    /// How the deformation is transferred.
+    /// Options of the transfer of the deformation.
     pub how: Reconstruction<'a>,
-    /// A file for what becomes of each vertex: see [`Version::diagnostics`].
+    /// File for the diagnostics of each vertex: see [`Version::diagnostics`].
     pub diagnostics: Option<&'a Path>,
     /// [`Run::transfer_error`] will be asked for.
     pub measure: bool,
@@ -192,12 +192,13 @@ pub struct Running<'a> {
     pub exact: bool,
     /// Samples are added until nothing is expected to be off by more.
     pub tolerance: Option<Tolerance>,
-    /// The offset of positions that are stored as integers may be [another one](choose_offset), where they do
-    /// not reach.
+    /// Whether the offset of positions that are stored as integers may be [another one](choose_offset), where
+    /// the integers do not reach.
     pub choose_offset: bool,
-    /// What is written in another format than the model's may lose what that cannot hold.
+    /// Whether output in another format than the model's may lose content that the format cannot hold.
     pub lossy: bool,
-    /// What turns with the surface besides normals; that of the [default](Follow::default) is splats.
+    /// Rules for the attributes that turn with the surface besides normals; by [default](Follow::default)
+    /// those of splats.
     pub follow: &'a Follow,
 }
 
@@ -234,16 +235,16 @@ impl Running<'_> {
     }
 }
 
-/// What the evaluation of every vertex was expected to take.
+/// Expected cost of evaluating every vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExactCost {
-    /// How often the steps are evaluated, in all.
+    /// Number of evaluations of the steps, in all.
     pub evaluations: u64,
     /// An estimate made beforehand, from the time that some vertices took.
     pub seconds: f64,
 }
 
-/// Points that are evaluated to tell what all vertices will take.
+/// Number of points that are evaluated to estimate the time for all vertices.
 const TRIED: usize = 4096;
 
 /// A finished run of a session.
@@ -256,9 +257,9 @@ pub struct Run {
     pub written: Reconstructed,
     /// The proof that the tolerance is met, if there was one.
     pub certificate: Option<Certificate>,
-    /// What was told beforehand, if every vertex was evaluated.
+    /// The cost that was expected, if every vertex was evaluated.
     pub exact: Option<ExactCost>,
-    /// What turned with the surface besides normals and tangents, for people.
+    /// Attributes that turned with the surface besides normals and tangents, for people.
     pub following: Vec<String>,
     /// Seconds from opening the model to the finished output.
     pub seconds: f64,
@@ -305,7 +306,7 @@ impl Run {
         let cache = &Arc::new(Cache::nameless(folder));
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
         let mut model = open(session, cache, progress)?;
-        // Before it is sampled, as what is declared may not be there.
+        // Attributes are declared before sampling, as a declared one may not be there.
         let follow = &sidecar::follow(&mut *model, follow)?;
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
         let by = |sampling: &Sampling| {
@@ -314,7 +315,7 @@ impl Run {
             sample(&*model, &Sampling { target, ..*sampling }, folder, progress)
         };
         let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
-        // As it was read, it may be sampled anew.
+        // The model may be sampled anew as it was read.
         let mut read = None;
         if let Some(converted) = converted {
             note_losses(&converted, progress);
@@ -355,8 +356,8 @@ impl Run {
     }
 }
 
-/// The samples that meet a tolerance, of a model as it is read and as it is written. It may be sampled anew,
-/// but where an error was asked for that is not exchanged for a number of samples.
+/// Samples that meet a tolerance, of a model as it is read and as it is written. The model may be sampled
+/// anew, but where an error was asked for that is not exchanged for a number of samples.
 fn met(
     sampled: SampledModel,
     [read, written]: [&dyn Model; 2],
@@ -402,7 +403,8 @@ fn written(
     Ok((reconstruct(&deformed.sampled, model, &[version], &how, progress)?, None))
 }
 
-/// What of a sampled model a session has no use for; `refines` says that more than its steps refines it.
+/// Parts of a sampled model that a session has no use for; `refines` says that more than the session's steps
+/// refines it.
 pub(crate) fn needed(session: &SessionFile, stack: &Stack, refines: bool) -> Skip {
     let cells = refines || session.steps.iter().any(|step| step.enabled && step.refines());
     // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
@@ -410,8 +412,8 @@ pub(crate) fn needed(session: &SessionFile, stack: &Stack, refines: bool) -> Ski
     Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() }
 }
 
-/// The session's model as what the output is named, if that is another format; before it is sampled, as
-/// something may be lost that shall not.
+/// The session's model in the format that the output's name has, if that is another one; before sampling, as
+/// losses may not be allowed.
 pub(crate) fn converted(
     session: &SessionFile,
     output: &Path,
@@ -430,7 +432,7 @@ pub(crate) fn converted(
     Converted::new(model, output, how, progress).map(Some)
 }
 
-/// Tells what the evaluation of all vertices will take, by that of some samples.
+/// Tells the expected time of evaluating all vertices, by that of some samples.
 fn told_cost(
     deformed: &DeformedSamples,
     model: &dyn Model,

@@ -1,7 +1,8 @@
 //! Steps and their parts in recordings of edits: each as a session has it, by the writer and the reader of
 //! sessions. Of a step, the folder that its files are seen from is recorded as well.
 //!
-//! Former programs recorded them field by field; what they wrote is read by what is derived for the types.
+//! Former programs recorded steps field by field; their recordings are read by the derived implementations of
+//! the types.
 
 use crate::edit::seen_from;
 use crate::motion::Motion;
@@ -13,7 +14,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Reads what is recorded: as a session has it, or as former programs wrote it, which `is_former` tells.
+/// Reads a recording: as a session has it, or as former programs wrote it, which `is_former` tells.
 fn read<'de, D: Deserializer<'de>, Table: for<'t> Deserialize<'t>, T>(
     from: D,
     is_former: impl Fn(&Value) -> bool,
@@ -27,21 +28,21 @@ fn read<'de, D: Deserializer<'de>, Table: for<'t> Deserialize<'t>, T>(
     of_table(serde_json::from_value(value).map_err(D::Error::custom)?).map_err(D::Error::custom)
 }
 
-/// Writes what a session has, if it can have it.
+/// Writes the table of a session, if the session can have it.
 fn write<S: Serializer>(table: Result<impl Serialize, String>, to: S) -> Result<S::Ok, S::Error> {
     table.map_err(S::Error::custom)?.serialize(to)
 }
 
-/// A step, with what a session tells by where it is.
+/// Record of a step, with the folder and the place that a session's file tells by where it is.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StepRecord {
-    /// The step, as a session has it.
+    /// Step as a session has it.
     step: toml::Table,
-    /// What its files are seen from.
+    /// Folder to which the paths of the step's files are relative.
     #[serde(default)]
     folder: PathBuf,
-    /// Where it stood in a file, for errors.
+    /// Place of the step in a file, for errors.
     #[serde(default)]
     place: String,
 }
@@ -81,7 +82,7 @@ impl<'de> Deserialize<'de> for Refine {
 
 impl Serialize for Region {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        // A region that was made another one than a handle may still say how it moved, which nobody reads.
+        // A region that was made another one than a handle may still have a motion, which is not used.
         let motion = if self.role == Role::Handle { self.motion } else { Motion::default() };
         let region = Self { motion, ..self.clone() };
         let around = Deformation { regions: vec![region], ..Deformation::by_plugin(ANY) };
@@ -115,7 +116,7 @@ impl<'de> Deserialize<'de> for HandleMove {
 /// The plugin of the step that a part is read and written in.
 const ANY: &str = "any";
 
-/// The only part of its kind in a step, as a session has it.
+/// Table of the only part of its kind in a step, as a session has it.
 fn part_of(kind: &str, around: Deformation) -> Result<toml::Value, String> {
     let mut table = table_of(Step::new(Action::Deform(around)))?;
     only_element(table.remove(kind)).ok_or_else(|| format!("it is no {kind}"))
@@ -150,7 +151,7 @@ fn step_of(table: toml::Table, folder: &Path) -> Result<Step, String> {
     Ok(step)
 }
 
-/// What is wrong with a session that is in no file.
+/// Error text of a session that is in no file: without its place.
 fn without_place(what: &str) -> String {
     what.split_once(": ").map_or(what, |(_, what)| what).to_owned()
 }
@@ -238,7 +239,7 @@ mod tests {
         assert_comes_back(&HandleMove { id: "a".to_owned(), motion: motion() }, r#"{"id":"a","move":{"#);
     }
 
-    /// Recordings that a former program wrote of these.
+    /// Recordings of these that a former program wrote.
     #[test]
     fn former_recordings_are_read() {
         let lines = include_str!("former-recording.jsonl").lines();

@@ -8,21 +8,21 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::{Model, Progress, Result};
 use std::path::Path;
 
-/// What a refinement may take.
+/// Resources that a refinement may take.
 #[derive(Clone, Copy)]
 pub struct Room<'a> {
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// Where temporary files without a name are made.
+    /// Folder in which temporary files without a name are made.
     pub folder: &'a Path,
 }
 
 /// The pose of the model in which the shapes are meant.
 #[derive(Clone, Copy)]
 pub enum ShapePose<'a> {
-    /// As the deformation so far, if there is one, has left it.
+    /// The shape as the deformation so far, if there is one, has left it.
     Deformed(Option<&'a DeformationField<'a>>),
-    /// At rest, whatever the deformation so far.
+    /// The shape at rest, whatever the deformation so far.
     Rest(Option<&'a DeformationField<'a>>),
 }
 

@@ -10,14 +10,14 @@ use simod_plugin_api::Time;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
-/// No session is longer than this; a model that is given in its place may be.
+/// Most bytes of a session; a model that is given in its place may be longer.
 pub(crate) const LARGEST: u64 = 16 << 20;
 
-/// The format's version: raised when what a session says could not be understood any more by former versions.
+/// Version of the format: raised when sessions could not be understood any more by former programs.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow, have no tiles, and whose steps have no titles,
-/// amounts or groups: former programs understand them.
+/// Version of sessions that declare nothing to follow, have no tiles, and whose steps have no titles, amounts
+/// or groups: former programs understand these sessions.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
@@ -25,40 +25,40 @@ pub(crate) const FIRST_VERSION: i64 = 1;
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
-    /// The files that it is made of, and patterns of such, where it is made of tiles; another `model` that is
-    /// given takes their place.
+    /// Files that the model is made of, and patterns of such, where it is made of tiles; another `model` that
+    /// is given takes their place.
     pub tiles: Vec<PathBuf>,
-    /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
+    /// Columns of the model, if it is a text in columns that does not name them, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
-    /// Numbers of the vertices that turn with the surface, by what their names begin with.
+    /// Numbers of the vertices that turn with the surface, by the beginning of their names.
     pub follow: BTreeMap<String, TensorKind>,
     /// The model's [fingerprint](simod_core::sampled_model::SourceRecord) when the session was saved.
     pub fingerprint: Option<String>,
-    /// How finely to sample it.
+    /// Options of sampling the model.
     pub sampling: SamplingTable,
     /// Deformations and refinements, first to last.
     pub steps: Vec<Step>,
-    /// When in a sequence the steps are done.
+    /// Time in a sequence at which the steps are done.
     pub time: SessionTime,
-    /// Where the deformed model goes.
+    /// Path of the deformed model.
     pub output: Option<PathBuf>,
-    /// The output's path as it stands in the file, if this was read from one.
+    /// Path of the output as it stands in the file, if the session was read from one.
     pub named_output: Option<PathBuf>,
 }
 
-/// How finely to sample. At most one of `samples` and `error` is given.
+/// Options of sampling. At most one of `samples` and `error` is given.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct SamplingTable {
-    /// How many samples to take.
+    /// Number of samples to take.
     pub samples: Option<u64>,
     /// Largest error, as a fraction of the diagonal of the bounding box.
     pub error: Option<f64>,
-    /// Cells of the grid along its longest side.
+    /// Cells of the grid along the grid's longest side.
     pub grid: Option<u32>,
-    /// What samples are spread by; the error of their clusters, where not given.
+    /// Amount by which samples are spread; the error of their clusters, where not given.
     pub by: Option<By>,
-    /// What places the samples; that which tells where the surface is, where not given.
+    /// Rule by which samples are placed; the one that tells where the surface is, where not given.
     pub place: Option<Placement>,
     /// Whether the model's faces tell sheets apart that touch; they do, where not given.
     pub sheets: Option<bool>,
@@ -74,7 +74,7 @@ pub struct SessionTime {
     pub frame: Option<i64>,
     /// Frames in a second; 24 where that is not said.
     pub rate: Option<f64>,
-    /// Seconds since the beginning; by frame and rate where they are not said.
+    /// Seconds since the beginning; by frame and rate where not given.
     pub seconds: Option<f64>,
 }
 
@@ -86,7 +86,7 @@ impl SessionTime {
         Time { frame, seconds }
     }
 
-    /// What is wrong with it, if anything.
+    /// Defect of the time, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         if self.rate.is_some_and(|rate| !(rate > 0.0 && rate.is_finite())) {
             Some("`rate` is no number of frames in a second")
@@ -99,7 +99,7 @@ impl SessionTime {
 }
 
 impl SessionFile {
-    /// What it names as its model, if it does.
+    /// Model that the session names, if it does.
     ///
     /// # Errors
     /// A pattern matches no file.
@@ -112,8 +112,9 @@ impl SessionFile {
         }
     }
 
-    /// Where the session itself says that the deformed model goes: beside it, or in a folder beside it.
-    /// `path` is the session's. A session may be a stranger's, who has no say about other folders.
+    /// Path of the deformed model that the session itself names, which has to be beside the session, or in a
+    /// folder beside it. `path` is the session's. A session may be a stranger's, who has no say about other
+    /// folders.
     ///
     /// # Errors
     /// The session does not say so, or names another place.
@@ -125,7 +126,7 @@ impl SessionFile {
             ));
         };
         let folder = folder_of(path);
-        // By what it says and, through links, in fact.
+        // The output is beside the session by its name and, through links, in fact.
         let is_plain = |part| matches!(part, Component::Normal(_) | Component::CurDir);
         if self.named_output.as_deref().is_some_and(|named| named.components().all(is_plain)) {
             let target = match output.canonicalize() {
@@ -143,7 +144,7 @@ impl SessionFile {
     }
 }
 
-/// The text of a small file; `what` it should be, and what to give, for errors.
+/// Text of a small file; `what` names the kind of file, and `hint` the file to give, for errors.
 pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     input::read_text(path, LARGEST).map_err(|e| match e.kind() {
         ErrorKind::Format => {
@@ -153,8 +154,8 @@ pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     })
 }
 
-/// All files that a session, or a file of methods, names to be read: the model, strokes, selections, files
-/// among parameters. What is missing is told when it is needed.
+/// Files that a session, or a file of methods, names to be read: the model, strokes, selections, files among
+/// parameters. Missing ones are reported when they are needed.
 ///
 /// # Errors
 /// The file itself cannot be read.
@@ -171,7 +172,7 @@ pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
     let Ok(mut table) = text.parse::<toml::Table>() else { return Ok(Vec::new()) };
     table.remove("output");
     let (folder, mut files) = (path.parent().unwrap_or(Path::new("")), Vec::new());
-    // Only plugins know which texts name files: all those count that are there.
+    // Only plugins know which texts name files: all texts that name a file that is there count.
     texts(&toml::Value::Table(table), &mut |text| {
         files.extend(Some(folder.join(text)).filter(|path| !text.is_empty() && path.is_file()));
     });

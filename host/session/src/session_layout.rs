@@ -10,14 +10,13 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem::take;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, RawString, Table, TableLike, Value};
 
-/// What is never left out where it says what would hold without it.
+/// Key that is never left out of a file, even where its value is what holds without it.
 const STROKES: &str = "strokes";
 
-/// Most pairs of tables that are compared to find out which of them are the same; beyond, only those at both
-/// ends are.
+/// Most pairs of tables that are compared to find the same ones; beyond, only those at both ends are.
 const MOST_PAIRS: usize = 4_000_000;
 
-/// The file as it stands, with what differs between the base and the changed session.
+/// Text of the file, with the differences between the base and the changed session.
 pub(crate) fn changed(mut file: DocumentMut, base: &DocumentMut, mut to: DocumentMut) -> DocumentMut {
     // Without a version all is understood that there is.
     if !file.contains_key("version") {
@@ -28,13 +27,13 @@ pub(crate) fn changed(mut file: DocumentMut, base: &DocumentMut, mut to: Documen
     file
 }
 
-/// What a table has by key.
+/// Changes a table of the file by key, to what `to` has.
 fn change_table(file: &mut dyn TableLike, base: &dyn TableLike, to: Table) {
     let gone: Vec<String> = file
         .iter()
         .map(|(key, _)| key.to_owned())
         .filter(|key| !to.contains_key(key))
-        // What the program leaves out says nothing new, and may well stand there.
+        // A key that the program leaves out says nothing new, and may well stand in the file.
         .filter(|key| base.contains_key(key) || key == STROKES)
         .collect();
     let end = end_of(file);
@@ -54,7 +53,7 @@ fn change_table(file: &mut dyn TableLike, base: &dyn TableLike, to: Table) {
     }
 }
 
-/// What stands between the last value of a table in one line and its brace.
+/// Text between the last value of a table in one line and the table's brace.
 fn end_of(table: &dyn TableLike) -> Option<String> {
     let (_, last) = table.iter().last()?;
     let end = last.as_value()?.decor().suffix()?.as_str()?;
@@ -107,8 +106,8 @@ fn change_tables(file: &mut ArrayOfTables, base: &ArrayOfTables, to: ArrayOfTabl
     }
 }
 
-/// For each of the tables afterwards, the one before that it came from, if any: the same ones first, in
-/// order, and among those between two of these the next of the same kind.
+/// Index of the former table that each of the new ones came from, if any: first those of the same content, in
+/// order, and among the ones between two of these the next of the same kind.
 fn pairs(base: &ArrayOfTables, to: &ArrayOfTables) -> Vec<Option<usize>> {
     let hashes = |tables: &ArrayOfTables| tables.iter().map(hash).collect::<Vec<_>>();
     let (before, after) = (hashes(base), hashes(to));
@@ -126,8 +125,8 @@ fn pairs(base: &ArrayOfTables, to: &ArrayOfTables) -> Vec<Option<usize>> {
     pairs
 }
 
-/// For each hash afterwards, the place of the same before, in order: a longest common subsequence of what is
-/// between the beginning and the end that both share.
+/// Index of the same former hash for each new one, in order: a longest common subsequence of what is between
+/// the beginning and the end that both share.
 fn common(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     let start = before.iter().zip(after).take_while(|(a, b)| a == b).count();
     let rest = (&before[start..], &after[start..]);
@@ -147,7 +146,7 @@ fn subsequence(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     if rows.saturating_mul(columns) > MOST_PAIRS {
         return found;
     }
-    // Lengths for what is left from a row and a column on.
+    // Lengths of the common subsequences of the rests from a row and a column on.
     let mut lengths = vec![0u32; (rows + 1) * (columns + 1)];
     let at = |row: usize, column: usize| row * (columns + 1) + column;
     for row in (0..rows).rev() {
@@ -173,7 +172,8 @@ fn subsequence(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     found
 }
 
-/// What tables of one kind share: the plugin of a step, the id of a joint, the role of a region.
+/// Name of a table's kind, which tables of one kind share: the plugin of a step, the id of a joint, the role
+/// of a region.
 fn kind(table: &Table) -> Option<String> {
     let text = |key| table.get(key).and_then(Item::as_str).map(str::to_owned);
     text("deform").or_else(|| text("id")).or_else(|| text("role"))
@@ -185,7 +185,7 @@ fn hash(table: &Table) -> u64 {
     hasher.finish()
 }
 
-/// Whether two items say the same, however they are put.
+/// Whether two items have the same value, however it is written.
 fn is_same(a: &Item, b: &Item) -> bool {
     let value = |item: &Item| item.clone().into_value().ok();
     match (value(a), value(b)) {
@@ -215,7 +215,7 @@ fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|integer| integer as f64))
 }
 
-/// Tables stand where their keys do from now on, and not where they stood in the file: new ones have no such
+/// Removes the places of tables in the file, so that they stand where their keys do: new ones have no such
 /// place.
 fn unplace(table: &mut Table) {
     table.set_position(None);
@@ -274,7 +274,7 @@ refine = { factor = 4, shapes = [
 # The end.
 "#;
 
-    /// What is written over the file after this change.
+    /// Text that is written over the file after this change.
     fn saved(file: &str, change: impl FnOnce(&mut SessionFile)) -> String {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("edit.toml");
@@ -466,8 +466,8 @@ refine = { factor = 4, shapes = [
     }
 
     proptest! {
-        /// Whatever becomes of a session, it is the one that is meant, and comments are each there once at
-        /// most.
+        /// A session that is changed in any way is written as it is meant, and comments are each there once
+        /// at most.
         #[test]
         fn what_is_written_over_a_file_is_what_was_meant(before in steps(), after in steps()) {
             let folder = tempfile::tempdir().unwrap();

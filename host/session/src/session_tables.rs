@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What is written, which has no place in a file yet.
+/// Value that is written, and has no place in a file yet.
 pub(crate) fn placeless<T>(value: T) -> Spanned<T> {
     Spanned::new(0..0, value)
 }
@@ -33,7 +33,8 @@ pub(crate) struct SessionTable {
 }
 
 impl SessionTable {
-    /// What of it the first version of the format does not know: a key, how to speak of it, and where it is.
+    /// Content of the table that the first version of the format does not know: a key in words, and its
+    /// place.
     pub fn of_version_2(&self) -> Option<(&'static str, Range<usize>)> {
         let follow = self.follow.as_ref().map(|follow| ("`follow` is", follow.span()));
         let tiles = || {
@@ -101,7 +102,7 @@ impl StepTable {
         title.or_else(group).or_else(amount)
     }
 
-    /// Whether it says what only deformations have.
+    /// Whether the table has a key that only deformations have.
     pub fn deforms(&self) -> bool {
         let Self { title: _, group: _, enabled: _, refine: _, .. } = self;
         let Self { deform, plugin, state_version, params, amount, strokes, .. } = self;

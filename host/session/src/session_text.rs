@@ -24,7 +24,7 @@ impl SessionFile {
         Self::parse(&text, path)
     }
 
-    /// Reads a session from its text; `path` is where it came from.
+    /// Reads a session from its text; `path` is the file that the text came from.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = SessionText { text, path };
         let table: SessionTable = tables::read(text).map_err(|e| source.refused(&e))?;
@@ -51,16 +51,16 @@ impl SessionFile {
     }
 }
 
-/// A path that a session in a folder names. What is secret in the URL of an object is not remembered in it.
+/// Path that a session in a folder names. Secrets in the URL of an object are not remembered in the path.
 fn named_from(folder: &Path, path: &Path) -> PathBuf {
     input::seen_from(folder, Path::new(&object::admit(path)))
 }
 
 /// The file, for errors that say where.
 pub struct SessionText<'a> {
-    /// All that is written in it.
+    /// Text of the whole file.
     pub text: &'a str,
-    /// The file's path, which other paths in it are relative to the folder of.
+    /// Path of the file, to whose folder other paths in it are relative.
     pub path: &'a Path,
 }
 
@@ -77,18 +77,18 @@ impl SessionText<'_> {
         Error::format(format!("{}: {what}", self.place(span)), hint)
     }
 
-    /// An error of what is named there.
+    /// Error about a file or value that is named at a place.
     fn locate(&self, span: &Range<usize>, e: Error) -> Error {
         let what = format!("{}: {e}", self.place(span));
         e.saying(what)
     }
 
-    /// What paths in the file are relative to.
+    /// Folder to which paths in the file are relative.
     fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(Path::new(""))
     }
 
-    /// The parser's complaint on one line, with the line of the file that it is about.
+    /// Error of the parser on one line, with the number of the file's line.
     pub fn refused(&self, error: &tables::TableError) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
@@ -176,7 +176,7 @@ impl SessionText<'_> {
         Ok((None, tiles, columns, fingerprint))
     }
 
-    /// What makes no sense, with its line.
+    /// Error of a defect, with its line.
     fn defect(&self, span: &Range<usize>, defect: &Defect) -> Error {
         self.error(span, &defect.what, defect.hint)
     }
@@ -197,7 +197,7 @@ impl SessionText<'_> {
         Ok(Step { action, enabled, title, group, place })
     }
 
-    /// What the user calls a step, or a group.
+    /// Checks the name that the user gave a step, or a group.
     fn name(&self, key: &str, name: Option<Spanned<String>>) -> Result<Option<String>> {
         if let Some(name) = &name {
             step::check_name(key, name.get_ref()).map_err(|defect| self.defect(&name.span(), &defect))?;
@@ -236,7 +236,7 @@ impl SessionText<'_> {
         Ok(refine)
     }
 
-    /// Shapes that all make sense, selections with their points.
+    /// Shapes that are checked, with the points of selections.
     fn shapes(&self, tables: Vec<Spanned<RegionShape>>) -> Result<Shapes> {
         let mut shapes = Shapes::default();
         for shape in tables {
@@ -286,7 +286,7 @@ impl SessionText<'_> {
         })
     }
 
-    /// The joints, each after the one that it hangs on.
+    /// Joints, each after the one that it hangs on.
     fn joints(&self, tables: Vec<Spanned<Joint>>) -> Result<Vec<Joint>> {
         let (spans, joints): (Vec<_>, Vec<_>) =
             tables.into_iter().map(|joint| (joint.span(), joint.into_inner())).unzip();

@@ -1,5 +1,5 @@
-//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its
-//! default is left out, and long strokes and selections go to files beside it.
+//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. Values that are
+//! their defaults are left out, and long strokes and selections go to files beside the session.
 
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, Table};
 
 impl SessionFile {
-    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder.
-    /// Gives the files beside it that it refers to.
+    /// Writes the session, whole or not at all; the model and the output are named relative to its folder.
+    /// Returns the files beside the session that the session refers to.
     ///
     /// # Errors
     /// A file cannot be written; a path is no text.
@@ -32,8 +32,8 @@ impl SessionFile {
         Ok(beside)
     }
 
-    /// Saves the session where a `former` one was changed to it: the comments of that, its order and how it
-    /// puts things stay wherever it says the same.
+    /// Saves the session where it was made by changes of a `former` one: the comments, the order and the
+    /// spellings of that file stay wherever the content is the same.
     ///
     /// # Errors
     /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
@@ -42,8 +42,8 @@ impl SessionFile {
         let mut text = document.to_string();
         if let Some((file, base)) = Self::as_it_stands(former) {
             let changed = session_layout::changed(file, &base, document).to_string();
-            // Not where it would be read as another session: joints, say, may stand in another order than
-            // they are read in.
+            // A changed text that would be read as another session is not written: joints, say, may stand in
+            // another order than they are read in.
             let read = Self::parse(&changed, path).and_then(|read| read.to_toml(path));
             if read.is_ok_and(|read| Some(read) == self.to_toml(path).ok()) {
                 text = changed;
@@ -53,14 +53,14 @@ impl SessionFile {
         Ok(beside)
     }
 
-    /// A session's file, and the same as this program would put it there; nothing where either cannot be had.
+    /// File of a session, and its content as this program would write it; none where either cannot be had.
     fn as_it_stands(former: &Path) -> Option<(DocumentMut, DocumentMut)> {
         let text = read_text(former, "session", "").ok()?;
         let session = Self::parse(&text, former).ok()?;
         Some((text.parse().ok()?, session.to_document(former, false).ok()?.0))
     }
 
-    /// The session's text at this path, with all strokes and selections in it.
+    /// Text of the session for this path, with all strokes and selections in it.
     pub(crate) fn to_toml(&self, path: &Path) -> Result<String> {
         Ok(self.to_document(path, false)?.0.to_string())
     }
@@ -88,7 +88,7 @@ impl SessionFile {
         Ok((document, writer.files))
     }
 
-    /// The files or patterns of its model, if that is made of tiles.
+    /// Files or patterns of the model, if it is made of tiles.
     fn named_tiles(&self) -> &[PathBuf] {
         match &self.model {
             Some(model) if matches!(matching(model), Ok(Some(_))) => std::slice::from_ref(model),
@@ -98,7 +98,7 @@ impl SessionFile {
     }
 }
 
-/// Tables by themselves, and what is in them in one line each.
+/// Lays out tables by themselves, and their contents in one line each.
 fn lay_out(document: &mut DocumentMut) {
     for (key, item) in document.iter_mut() {
         if key == "step" {
@@ -112,7 +112,7 @@ fn lay_out(document: &mut DocumentMut) {
     }
 }
 
-/// What a step may have several of, each a table by itself.
+/// Keys of which a step may have several, each a table by itself.
 const SEVERAL: [&str; 4] = ["region", "joint", "handle", "stroke"];
 
 /// An array of tables by themselves, each laid out.
@@ -122,7 +122,7 @@ fn tables(item: &mut Item, lay_out: impl Fn(&mut Table)) {
     *item = Item::ArrayOfTables(all);
 }
 
-/// A path as a session has it.
+/// Text of a path as a session has it.
 pub(crate) fn text(path: &Path) -> Result<String> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         let what = format!("the name {} is no text, which a session has to be", path.display());
@@ -137,11 +137,11 @@ fn spanned<T, U>(all: &[T], mut table: impl FnMut(&T) -> Result<U>) -> Result<Ve
 
 /// A writer of the tables of a session that goes to a place.
 struct Writer<'a> {
-    /// The session's file, if what is too long may go beside it.
+    /// Path of the session, if contents that are too long for it may go beside it.
     session: Option<&'a Path>,
-    /// What the model and the output are seen from.
+    /// Folder to which the paths of the model and the output are relative.
     folder: &'a Path,
-    /// What was written beside it.
+    /// Files that were written beside the session.
     files: Vec<PathBuf>,
 }
 
@@ -368,7 +368,7 @@ mod tests {
         let session = session(&folder);
         session.save(&path).unwrap();
         assert_eq!(without_places(SessionFile::load(&path).unwrap()), session);
-        // And what was read is written as it was.
+        // The session that was read is written as it was.
         let text = std::fs::read_to_string(&path).unwrap();
         SessionFile::load(&path).unwrap().save(&path).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);

@@ -24,7 +24,7 @@ pub enum RegionShape {
         /// The sphere's centre.
         #[serde(deserialize_with = "crate::vector::three")]
         center: DVec3,
-        /// In the model's unit; positive.
+        /// Radius in the model's unit; positive.
         radius: f64,
     },
     /// An axis-aligned box.
@@ -41,7 +41,7 @@ pub enum RegionShape {
 }
 
 impl RegionShape {
-    /// What is wrong with it, or nothing.
+    /// Defect of the shape, if it has one.
     pub fn defect(&self) -> Option<&'static str> {
         match *self {
             Self::HalfSpace { point, normal } if !(point.is_finite() && normal.is_finite()) => {
@@ -83,16 +83,16 @@ impl RegionShape {
 pub struct Shapes {
     /// The shapes; none is nowhere.
     pub shapes: Vec<RegionShape>,
-    /// How far beyond the surface the weight falls to 0, in the model's unit; 0 for at once.
+    /// Distance beyond the surface at which the weight has fallen to 0, in the model's unit; 0 for at once.
     #[serde(default)]
     pub falloff: f64,
 }
 
 impl Shapes {
-    /// What is wrong with them, or nothing.
+    /// Checks the shapes and the falloff.
     ///
     /// # Errors
-    /// A shape is no part of space, or the falloff is no distance: which.
+    /// A shape is no part of space, or the falloff is no distance: the text says which.
     pub fn check(&self) -> Result<(), &'static str> {
         if let Some(what) = self.shapes.iter().find_map(RegionShape::defect) {
             return Err(what);
@@ -109,8 +109,8 @@ impl Shapes {
         self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The shapes as a session file has them; of selections that are too long for that, how many points they
-    /// have, and where.
+    /// Tables of the shapes as a session file has them; for selections that are too long for that, the number
+    /// of their points and their place.
     pub fn tables(&self) -> Vec<toml::Table> {
         let summary = |picked: &PickedPoints| {
             let bounds = Bounds::from_points(picked.inside().iter().copied());

@@ -1,8 +1,9 @@
-//! Files beside a session: what is too much for a readable file, as long brush strokes and selections.
+//! Files beside a session: content that is too long for a readable file, as long brush strokes and
+//! selections.
 //!
-//! A line that says what it is, such as `simod-strokes/1`, and the content in postcard's encoding. The
+//! The file is a line with its kind, such as `simod-strokes/1`, and the content in postcard's encoding. The
 //! session names the file with its hash; the name has a part of the hash, so that a session that is saved
-//! anew never spoils what the former one refers to.
+//! anew never spoils the files that the former one refers to.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ use simod_model::{Error, Result, input, output};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
-/// Points beyond which something goes to a file of its own.
+/// Number of points beyond which strokes or a selection go to a file of their own.
 pub const MOST_IN_SESSION: usize = 1000;
 
 /// Longest file: 40 million points.
@@ -20,7 +21,7 @@ const LONGEST: u64 = 1 << 30;
 /// Digits of the hash in a file's name.
 const HASH: usize = 12;
 
-/// What is in a file.
+/// Content of a side file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SideFileKind {
     /// The strokes of a step.
@@ -32,7 +33,7 @@ pub enum SideFileKind {
 impl SideFileKind {
     const ALL: [Self; 2] = [Self::Strokes, Self::Selection];
 
-    /// How files of this kind begin, how their names end, and what they are called.
+    /// First bytes of files of this kind, the end of their names, and the word for them in messages.
     fn names(self) -> (&'static [u8], &'static str, &'static str) {
         match self {
             Self::Strokes => (b"simod-strokes/1\n", "strokes", "strokes"),
@@ -41,13 +42,13 @@ impl SideFileKind {
     }
 }
 
-/// What a session says of the file.
+/// Reference of a session to a side file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Reference {
-    /// Relative to the session.
+    /// Path of the file, relative to the session.
     pub file: PathBuf,
-    /// Hash of its bytes.
+    /// Hash of the file's bytes.
     pub fingerprint: String,
 }
 
@@ -71,7 +72,7 @@ pub fn write(session: &Path, kind: SideFileKind, content: &impl Serialize) -> Re
     Ok(Reference { file, fingerprint })
 }
 
-/// What the names of files beside a session begin with: a text that is another one for another session.
+/// Beginning of the names of files beside a session: a text that differs from that of any other session.
 fn stem(session: &Path) -> String {
     let stem = session.file_stem().unwrap_or_default();
     match stem.to_str() {
@@ -101,8 +102,8 @@ pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl Reference {
-    /// Reads the file; `folder` is the session's. `make` makes of its content what it stands for, or says
-    /// what is wrong with it.
+    /// Reads the file; `folder` is the session's. `make` makes the value of its content, or an error that
+    /// tells the fault.
     ///
     /// # Errors
     /// The file cannot be read, is not the one that the session was saved with, or holds what makes no sense.

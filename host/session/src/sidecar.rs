@@ -1,4 +1,4 @@
-//! What stands beside a model's file, its *sidecar*, and declares which of its numbers turn with the surface.
+//! Sidecar: the file beside a model's file that declares which of its numbers turn with the surface.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use simod_model::{Model, Result};
 use crate::session_file::read_text;
 use crate::session_text::SessionText;
 
-/// Behind the name of the model's file, that of its sidecar.
+/// Suffix of the model's file name that gives the name of its sidecar.
 const SUFFIX: &str = ".follow.toml";
 
 #[derive(Deserialize)]
@@ -20,15 +20,15 @@ struct Sidecar {
     follow: BTreeMap<String, TensorKind>,
 }
 
-/// Where the sidecar of a model is, if it has one.
+/// Path of the sidecar of a model, whether there is one or not.
 pub fn path_beside(model: &Path) -> PathBuf {
     let mut path = model.as_os_str().to_owned();
     path.push(SUFFIX);
     path.into()
 }
 
-/// Says what turns in a model with the surface: what is asked for or, where that declares nothing, what the
-/// sidecar does. Returns what it is.
+/// Sets the attributes of a model that turn with the surface: by the rules that are asked for or, where these
+/// declare nothing, by those of the sidecar. Returns these rules.
 ///
 /// # Errors
 /// The sidecar is there, and is no such file; as of [`Model::follow`].

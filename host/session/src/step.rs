@@ -1,6 +1,6 @@
-//! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no
-//! sense. Whoever reads, changes or records steps judges them by what is here. What is derived for reading
-//! is how former programs recorded them.
+//! The steps of an edit, which a session has and an edit changes, and the checks of steps. All code that
+//! reads, changes or records steps uses the checks of this module. The derived reading is that of former
+//! programs' recordings.
 
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};
@@ -22,16 +22,16 @@ use std::sync::Arc;
 pub struct Step {
     /// The step's action.
     pub action: Action,
-    /// Whether it is done; a step that is not stays in the session.
+    /// Whether the step is done; a step that is not stays in the session.
     #[serde(default = "yes")]
     pub enabled: bool,
-    /// What the user calls it, if anything.
+    /// The user's name of the step, if it has one.
     #[serde(default)]
     pub title: Option<String>,
-    /// What the group is called that it is in, with those before and behind it that say the same.
+    /// Name of the group that the step is in, with the steps before and behind it that have the same.
     #[serde(default)]
     pub group: Option<String>,
-    /// Where in the file it stands, as `session.toml, line 7`; for errors.
+    /// Place of the step in its file, as `session.toml, line 7`; for errors.
     #[serde(default)]
     pub place: String,
 }
@@ -43,7 +43,7 @@ pub struct Step {
 pub enum Action {
     /// The samples are moved.
     Deform(Deformation),
-    /// There are more samples.
+    /// Samples are added.
     Refine(Refine),
 }
 
@@ -51,15 +51,15 @@ pub enum Action {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refine {
-    /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out
-    /// by themselves ([`Finer::Auto`]).
+    /// Region to refine, on the model as the steps before have deformed it. No shape is everywhere, for a
+    /// refinement that finds out by itself ([`Finer::Auto`]).
     pub shapes: Shapes,
     /// The fineness that is wanted.
     pub finer: Finer,
 }
 
 impl Refine {
-    /// Whether it makes sense.
+    /// Checks that the refinement makes sense.
     ///
     /// # Errors
     /// A shape is no part of space, there is none though somebody has to say where, or the fineness is out of
@@ -77,13 +77,13 @@ impl Refine {
         }
     }
 
-    /// Whether it finds out by itself where samples are needed.
+    /// Whether the refinement finds out by itself where samples are needed.
     pub fn is_auto(&self) -> bool {
         matches!(self.finer, Finer::Auto { .. })
     }
 }
 
-/// How fine a refinement can be.
+/// Fineness that a refinement can have, for errors.
 pub(crate) const FINER: &str =
     "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
 
@@ -93,9 +93,9 @@ pub(crate) const FINER: &str =
 pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
-    /// Where the plugin came from, as far as that was known when the session was saved.
+    /// Origin of the plugin, as far as that was known when the session was saved.
     pub plugin: Option<Origin>,
-    /// The version of what the plugin's parameters mean; where nothing is said, the first.
+    /// Version of the plugin's parameters and their meaning; where not given, the first.
     #[serde(default)]
     pub state_version: Option<u32>,
     /// The parameters that differ from their defaults.
@@ -107,28 +107,28 @@ pub struct Deformation {
     /// Joints that the user placed, in the file's order.
     #[serde(default)]
     pub joints: Vec<Joint>,
-    /// How the plugin's own handles move.
+    /// Motions of the plugin's own handles.
     #[serde(default)]
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
     #[serde(default)]
     pub strokes: Vec<Arc<Stroke>>,
-    /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is
-    /// blended linearly.
+    /// Amount of the deformation that is done: 0 leaves all at rest, 1 is the whole deformation, and
+    /// displacements between are blended linearly.
     #[serde(default = "full")]
     pub amount: f64,
-    /// What paths among the parameters are relative to.
+    /// Folder to which paths among the parameters are relative.
     #[serde(default)]
     pub folder: PathBuf,
-    /// Where the parameters stand in the file; for errors.
+    /// Places of the parameters in the file; for errors.
     #[serde(skip)]
     pub param_places: ParamPlaces,
-    /// What was changed when it was brought up to its plugin; for users.
+    /// Changes that were made when the step was brought up to its plugin; for users.
     #[serde(skip)]
     pub notes: Notes,
 }
 
-/// What was done to a step, in words. No part of what the step is: all are equal.
+/// Notes on changes of a step, in words. They are no part of what the step is: all compare as equal.
 #[derive(Debug, Clone, Default)]
 pub struct Notes(Arc<[String]>);
 
@@ -151,8 +151,8 @@ impl Notes {
     }
 }
 
-/// The places of a step's parameters in its file, as `session.toml, line 9`. They are no part of what the
-/// step is: all are equal.
+/// Places of a step's parameters in its file, as `session.toml, line 9`. They are no part of what the step
+/// is: all compare as equal.
 #[derive(Debug, Clone, Default)]
 pub struct ParamPlaces(Arc<BTreeMap<String, String>>);
 
@@ -163,12 +163,12 @@ impl PartialEq for ParamPlaces {
 }
 
 impl ParamPlaces {
-    /// Parameters by their ids, with where each stands.
+    /// Places of parameters by their ids.
     pub(crate) fn new(places: impl IntoIterator<Item = (String, String)>) -> Self {
         Self(Arc::new(places.into_iter().collect()))
     }
 
-    /// The places of parameters with those of further names: pairs of the former name and the one now.
+    /// Places of parameters under further names, too: pairs of the former name and the one now.
     pub(crate) fn renamed(&self, aliases: &[(String, String)]) -> Self {
         let mut places = (*self.0).clone();
         for (former, now) in aliases {
@@ -179,8 +179,8 @@ impl ParamPlaces {
         Self(Arc::new(places))
     }
 
-    /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the
-    /// file gives that one.
+    /// Place to which an error belongs that came up in the step at `place`: that of the parameter that the
+    /// error names, if the file gives the parameter.
     pub(crate) fn place_of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
         let text = error.to_string();
         let named = text.split("parameter `").skip(1).filter_map(|rest| rest.split('`').next());
@@ -197,13 +197,13 @@ pub struct Origin {
     /// The author of the plugin.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub author: String,
-    /// Where there is more about it.
+    /// Address of more information on the plugin.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub url: String,
 }
 
 impl Origin {
-    /// The origin of a plugin that says where it comes from, unlike those that come with the program.
+    /// Origin of a plugin that names its author or an address, unlike those that come with the program.
     pub fn from_plugin(plugin: &Plugin) -> Option<Self> {
         let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
         (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })
@@ -224,7 +224,7 @@ impl std::fmt::Display for Origin {
 }
 
 impl Deformation {
-    /// One by a plugin, which is given nothing.
+    /// Deformation by a plugin, without parameters, regions or anything else.
     pub fn by_plugin(plugin: &str) -> Self {
         Self {
             deform: plugin.to_owned(),
@@ -259,12 +259,12 @@ impl Deformation {
 const LONGEST_NAME: usize = 200;
 
 impl Step {
-    /// One that is done, in no file, and that nobody has given a title.
+    /// Step that is switched on, in no file, and without a title.
     pub fn new(action: Action) -> Self {
         Self { action, enabled: true, title: None, group: None, place: String::new() }
     }
 
-    /// The plugin's id, or what else the step is.
+    /// Id of the plugin, or the kind of the step.
     pub fn name(&self) -> &str {
         match &self.action {
             Action::Deform(deformation) => &deformation.deform,
@@ -272,10 +272,10 @@ impl Step {
         }
     }
 
-    /// Whether it makes sense, as far as that can be told without its plugin.
+    /// Checks that the step makes sense, as far as that can be told without its plugin.
     ///
     /// # Errors
-    /// What is wrong with it: a session that says so is not read.
+    /// The defect of the step: a session with such a step is not read.
     pub fn check(&self) -> Result<(), Defect> {
         self.title.as_deref().map_or(Ok(()), |title| check_name("title", title))?;
         self.group.as_deref().map_or(Ok(()), |group| check_name("group", group))?;
@@ -285,17 +285,17 @@ impl Step {
         }
     }
 
-    /// Where an error of the step belongs to: the step, or the parameter that it names.
+    /// Place to which an error of the step belongs: the step, or the parameter that the error names.
     pub(crate) fn place_of<'a>(&'a self, error: &Error) -> &'a str {
         self.deformation().map_or(&self.place, |d| d.param_places.place_of(&self.place, error))
     }
 
-    /// Whether there may be more samples after it.
+    /// Whether there may be more samples after the step.
     pub fn refines(&self) -> bool {
         matches!(self.action, Action::Refine(_))
     }
 
-    /// The deformation, where it is one.
+    /// Deformation of the step, if it is one.
     pub fn deformation(&self) -> Option<&Deformation> {
         match &self.action {
             Action::Deform(deformation) => Some(deformation),
@@ -371,10 +371,11 @@ pub(crate) fn check_joints(joints: &[Joint]) -> Result<(), (usize, Defect)> {
 }
 
 /// The numbers of joints in an order in which each comes after the one that it hangs on: those that hang on
-/// none first, and then what hangs on these. Where there is no such order, [`check_joints`] says so.
+/// none first, and then those that hang on these. Where there is no such order, [`check_joints`] says so.
 pub(crate) fn joint_order(joints: &[Joint]) -> Vec<usize> {
     let numbers: HashMap<&str, usize> = joints.iter().map(|joint| &*joint.id).zip(0..).collect();
-    // How many joints hang on each other down to each one, itself included; 0 where that is not known yet.
+    // Number of joints that hang on each other down to each one, itself included; 0 where that is not known
+    // yet.
     let mut depths = vec![0usize; joints.len()];
     for first in 0..joints.len() {
         let (mut above, mut joint) = (Vec::new(), first);
@@ -427,20 +428,20 @@ pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
 /// A defect of a step or of a part of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Defect {
-    /// The part that it is about.
+    /// Part of the step that the defect is about.
     pub part: RegionPart,
-    /// What is wrong, as the beginning of a sentence.
+    /// The defect in words, as the beginning of a sentence.
     pub what: Cow<'static, str>,
-    /// The advice on it.
+    /// Advice on the defect.
     pub hint: &'static str,
 }
 
 /// The part of a region or a handle that makes no sense.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RegionPart {
-    /// No part by itself.
+    /// The region or handle as a whole.
     Whole,
-    /// How far beyond its border a region fades out.
+    /// The distance beyond its border at which a region has faded out.
     Falloff,
     /// The region's motion.
     Move,
@@ -464,12 +465,12 @@ impl Defect {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Joint {
-    /// Unique among the step's joints.
+    /// Id of the joint, unique among the step's joints.
     pub id: String,
-    /// Where it is at rest, model coordinates.
+    /// Position of the joint at rest, model coordinates.
     #[serde(deserialize_with = "crate::vector::three")]
     pub at: DVec3,
-    /// The id of the joint that it hangs on, if any.
+    /// Id of the joint that this one hangs on, if any.
     pub parent: Option<String>,
 }
 
@@ -479,7 +480,7 @@ pub struct Joint {
 pub struct HandleMove {
     /// The handle's id.
     pub id: String,
-    /// How it moves; about its place at rest unless the motion says otherwise.
+    /// Motion of the handle; about its place at rest unless the motion says otherwise.
     pub motion: Motion,
 }
 
@@ -505,7 +506,7 @@ fn full() -> f64 {
     1.0
 }
 
-/// What a region's samples do.
+/// Role of a region's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -525,13 +526,13 @@ pub struct Region {
     pub role: Role,
     /// The region's place.
     pub shapes: Shapes,
-    /// How a handle moves; nothing for other roles.
+    /// Motion of a handle region; none for other roles.
     #[serde(default)]
     pub motion: Motion,
 }
 
 impl Region {
-    /// Whether it makes sense.
+    /// Checks that the region makes sense.
     ///
     /// # Errors
     /// The region has no shape or one that is no part of space, fades out by no distance, or moves without

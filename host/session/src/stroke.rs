@@ -24,7 +24,7 @@ pub struct Stroke {
 }
 
 impl Stroke {
-    /// What is wrong with it, and what to do; or nothing.
+    /// Defect of the stroke and advice, if it has a defect.
     pub fn defect(&self) -> Option<(&'static str, &'static str)> {
         if !(self.radius > 0.0 && self.radius.is_finite()) {
             Some(("the radius of a stroke is not positive", "give a length in the model's unit"))

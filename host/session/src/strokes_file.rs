@@ -14,11 +14,11 @@ struct FileStroke {
     strength: f64,
     points: Vec<[f64; 3]>,
     pressures: Vec<f32>,
-    /// As TOML, since values are of any kind.
+    /// Parameters as TOML, since values are of any kind.
     params: String,
 }
 
-/// Whether a step's strokes are too long for the session itself.
+/// Whether a step's strokes need a file, as they are too long for the session itself.
 pub fn is_needed(strokes: &[Arc<Stroke>]) -> bool {
     strokes.iter().map(|s| s.points.len()).sum::<usize>() > MOST_IN_SESSION
 }
@@ -38,7 +38,7 @@ pub fn write(session: &Path, strokes: &[Arc<Stroke>]) -> Result<Reference> {
     write_file(session, SideFileKind::Strokes, &strokes.iter().map(record).collect::<Vec<_>>())
 }
 
-/// Reads them; `folder` is the session's.
+/// Reads the strokes of a file; `folder` is the session's.
 ///
 /// # Errors
 /// The file cannot be read, is not the one that the session was saved with, or holds what is no stroke.

@@ -25,35 +25,36 @@ use simod_plugin_api::Time;
 /// of these, are off the surface, and no others could do their work.
 const FEWEST: u64 = 1000;
 
-/// A search that its first samples hold up begins anew with so many times as many of them.
+/// Factor by which there are more first samples when a search that its first samples hold up begins anew.
 const ANEW: u64 = 4;
 
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
 const LEAST_ADDED: u64 = 256;
 
-/// Where nothing is added that the estimate asks for, clusters around the worst place are divided whatever
-/// their size, each into about so many ...
+/// Number of clusters, about, into which each one around the worst place is divided, whatever its size, where
+/// nothing is added that the estimate asks for ...
 const INTO: f64 = 4.0;
 /// ... within so many spacings of the samples there.
 const AROUND: f64 = 4.0;
 
-/// Where it is refined, so much of the tolerance is asked for.
+/// Part of the tolerance that a refinement asks for.
 const ASKED: f64 = 0.3;
 
-/// No more samples than so many times those at the beginning, or than [`FEW`] ...
+/// Most samples, as a multiple of those at the beginning, or [`FEW`] ...
 const MOST: u64 = 64;
 /// ... if that is more.
 const FEW: u64 = 1 << 20;
 
-/// Whether the deformation can be followed is asked when the largest expected error has not fallen to this
-/// part of its least so far ...
+/// Part of its least value so far to which the largest expected error has to fall from time to time ...
 const FALLS: f64 = 0.9;
-/// ... in so many rounds. Where few samples are added among sparse ones, it rises for a while.
+/// ... and number of rounds without such a fall after which the search checks whether the deformation can be
+/// followed at all. Where few samples are added among sparse ones, the error rises for a while.
 const PATIENCE: usize = 7;
 
-/// From samples so many times as near to each other on, what is expected there has to have fallen by as much
-/// at least: where a deformation is smooth it falls with the third power, and at a step not at all.
+/// Ratio of the former spacing of samples to the present one beyond which the expected error there has to
+/// have fallen by the same ratio at least: where a deformation is smooth the error falls with the third
+/// power, and at a step not at all.
 const NEARER: f64 = 2.0;
 
 /// The factor by which rounding is more at single vertices than in the mean.
@@ -62,14 +63,14 @@ const ROUNDING: f64 = 8.0;
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;
 
-/// What the estimates of samples in single precision do not tell, in local units, which are at most the
+/// Error that the estimates of samples in single precision do not show, in local units, which are at most the
 /// diagonal.
 const LEAST_LOCAL: f64 = 2e-6;
 
-/// How far vertices may be off.
+/// Largest distance that vertices may have from where the exact map takes them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Tolerance {
-    /// As a fraction of the model's diagonal at rest.
+    /// A fraction of the model's diagonal at rest.
     Fraction(f64),
     /// A length in the model's unit.
     Length(f64),
@@ -112,16 +113,16 @@ pub struct Certificate {
     pub added: u64,
     /// The number of rounds.
     pub rounds: u64,
-    /// The number of first samples that the model was sampled anew with, if those before held the search up.
+    /// Number of first samples with which the model was sampled anew, if those before held the search up.
     pub sampled_anew: Option<u64>,
     /// The true error of some vertices, if all plugins know their map.
     pub truth: Option<TransferError>,
 }
 
-/// Whether a file can tell so small errors at all.
+/// Checks that a file can hold positions with so small errors at all.
 ///
 /// # Errors
-/// The file's numbers are too coarse; the error says which it can tell.
+/// The file's numbers are too coarse; the error says which tolerance the file can hold.
 pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64) -> Result<()> {
     let diagonal = sampled.bounds.diagonal().max(f64::MIN_POSITIVE);
     let refused = |why: String, least: f64| {
@@ -157,7 +158,7 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
     Ok(())
 }
 
-/// What is sampled for a search to begin with, where so much was asked for.
+/// Target of the sampling that a search begins with, where `asked` was asked for.
 pub(crate) fn beginning(asked: Target) -> Target {
     match asked {
         Target::Samples(samples) => Target::Samples(samples.max(FEWEST)),
@@ -173,7 +174,7 @@ pub(crate) struct Sought<'a> {
     pub plugins: &'a PluginRegistry,
     pub time: Time,
     pub tolerance: f64,
-    /// Where samples of refinements, and temporary files, are.
+    /// Folder for samples of refinements, and temporary files.
     pub folder: &'a Path,
     pub progress: &'a dyn Progress,
 }
@@ -212,7 +213,7 @@ impl Sought<'_> {
         }
     }
 
-    /// The search with these first samples.
+    /// Searches with these first samples.
     fn search(&self, sampled: SampledModel) -> Result<Ended> {
         let Self { steps, progress, .. } = *self;
         let mut search = ToleranceSearch::new(&sampled, self);
@@ -236,37 +237,37 @@ impl Sought<'_> {
     }
 }
 
-/// What a search comes to.
+/// Result of a search.
 enum Ended {
     /// The tolerance is met.
     Met(Box<(DeformedSamples, Certificate)>),
-    /// It is not, and why; and how many first samples may do.
+    /// The tolerance is not met, and the reason; and the number of first samples that may do.
     HeldUp { why: Error, first: Option<u64> },
 }
 
 /// The search for samples by which no vertex is expected to be off by more.
 struct ToleranceSearch<'a> {
     sought: &'a Sought<'a>,
-    /// What is asked for where it is refined: finer than what is allowed, as density changes around what is
-    /// refined, which costs precision there.
+    /// Error that refinements ask for: smaller than the tolerance, as density changes around refined places,
+    /// which costs precision there.
     asked: f64,
     /// Samples before, and the most that there may be.
     first: u64,
     most: u64,
     rounds: u64,
-    /// The least of the largest errors that were expected, and for how many rounds it has been that.
+    /// Least of the largest errors that were expected, and (`waited`) the number of rounds since then.
     least: f64,
     waited: usize,
     beginning: Option<UnrefinedState>,
 }
 
-/// What a round of the search comes to.
+/// Result of a round of the search.
 enum Round {
     /// The tolerance is met.
     Met(Certificate),
     /// More samples, which are to be deformed.
     More(Arc<SampledModel>),
-    /// No more samples help, and why; and how many first samples may do.
+    /// No more samples help, and the reason; and the number of first samples that may do.
     HeldUp { why: Error, first: Option<u64> },
 }
 
@@ -332,9 +333,9 @@ impl<'a> ToleranceSearch<'a> {
         Round::HeldUp { why, first: self.first_anew(of, beyond) }
     }
 
-    /// How many first samples may meet the tolerance where these have not: more, as long as the search had as
-    /// many in the end, where the worst is around one of the first, or where parts of the model touch, as
-    /// refinement goes by who is on whose sheet among the first.
+    /// Number of first samples that may meet the tolerance where these have not: more than these, as long as
+    /// the search had as many in the end, where the worst is around one of the first, or where parts of the
+    /// model touch, as refinement goes by which of the first samples are on whose sheet.
     fn first_anew(&self, of: &SampledModel, beyond: &ErrorExcess) -> Option<u64> {
         let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
         let near = of.samples.neighbours().nearest_to(nearest).iter().map(|i| *i as usize);
@@ -360,7 +361,7 @@ impl<'a> ToleranceSearch<'a> {
         Certificate { tolerance, expected, added, rounds, sampled_anew: None, truth }
     }
 
-    /// Why more samples would not help, if they would not.
+    /// Reason for which more samples would not help, if they would not.
     fn why_not(
         &self,
         of: &SampledModel,
@@ -370,8 +371,8 @@ impl<'a> ToleranceSearch<'a> {
         self.beginning.as_ref()?.why_not(of, field, beyond)
     }
 
-    /// What is told, besides, where the worst is around a sample of those at the beginning: they stay, and
-    /// stand for as many vertices as they did.
+    /// Text that is told, besides, where the worst is around a sample of those at the beginning: these stay,
+    /// and stand for as many vertices as they did.
     fn told_of_first(&self, of: &SampledModel, beyond: &ErrorExcess) -> &'static str {
         let nearest = of.samples.nearest(of.frame.to_local(beyond.place));
         if u64::from(nearest) >= self.first {
@@ -381,7 +382,7 @@ impl<'a> ToleranceSearch<'a> {
          where these are many"
     }
 
-    /// Why the search ends, if it has come to its limits, or no further for a while.
+    /// Reason for which the search ends, if it has come to its limits, or no further for a while.
     fn why_ended(
         &mut self,
         of: &SampledModel,
@@ -436,7 +437,7 @@ impl<'a> ToleranceSearch<'a> {
     }
 }
 
-/// A refinement around the place where most is expected, whatever the clusters' errors.
+/// Refinement around the place where the largest error is expected, whatever the clusters' errors.
 fn around_worst(of: &SampledModel, beyond: &ErrorExcess) -> Refine {
     let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
     let spacing = f64::from(of.samples.spacing()[nearest]) * of.frame.scale;
@@ -444,12 +445,12 @@ fn around_worst(of: &SampledModel, beyond: &ErrorExcess) -> Refine {
     Refine { shapes: Shapes { shapes: vec![ball], falloff: 0.0 }, finer: Finer::Factor(INTO) }
 }
 
-/// What was expected before samples were added.
+/// Expected errors before samples were added.
 ///
 /// Memory: P_S as it was.
 struct UnrefinedState {
     sampled: Arc<SampledModel>,
-    /// Around each sample; local units.
+    /// Expected error around each sample; local units.
     expected: Vec<f32>,
 }
 
@@ -458,7 +459,8 @@ impl UnrefinedState {
         Self { sampled: sampled.clone(), expected: field.expected_error() }
     }
 
-    /// Why more samples would not help where most is expected, if it is not for want of vertices.
+    /// Reason, other than a want of vertices, for which more samples would not help where the largest error
+    /// is expected.
     fn why_not(
         &self,
         now: &SampledModel,
@@ -488,7 +490,7 @@ impl UnrefinedState {
     }
 }
 
-/// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
+/// True error of some vertices, and the place where it is more than allowed, if all plugins know their map.
 fn truth(
     deformed: &DeformedSamples,
     model: &dyn Model,

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Deserializer, de::Error};
 
-/// For `#[serde(deserialize_with)]`: exactly three numbers.
+/// Reader of exactly three numbers, for `#[serde(deserialize_with)]`.
 pub fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3, D::Error> {
     let numbers = Vec::<f64>::deserialize(deserializer)?;
     let count = numbers.len();
@@ -13,12 +13,12 @@ pub fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3, D::Err
         .map_err(|_| D::Error::custom(format!("expected three numbers, found {count}")))
 }
 
-/// As [`three`], for numbers that may be missing; together with `#[serde(default)]`.
+/// Reader as [`three`], for numbers that may be missing; together with `#[serde(default)]`.
 pub fn maybe_three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<DVec3>, D::Error> {
     three(deserializer).map(Some)
 }
 
-/// For `#[serde(deserialize_with)]`: a list of exactly three numbers each.
+/// Reader of a list of exactly three numbers each, for `#[serde(deserialize_with)]`.
 pub fn threes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<DVec3>, D::Error> {
     #[derive(Deserialize)]
     struct Three(#[serde(deserialize_with = "three")] DVec3);

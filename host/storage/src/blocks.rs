@@ -15,7 +15,7 @@ use crate::failure::RequestFailure;
 use crate::runtime::runtime;
 use crate::version::ObjectVersion;
 
-/// How many blocks behind one that is read in order are on their way.
+/// Number of blocks that are fetched ahead behind one that is read in order.
 const AHEAD: u64 = 3;
 
 /// The blocks, and who waits for one.
@@ -65,7 +65,7 @@ impl BlockCache {
         self.locked().insert(of, number, BlockState::There { bytes, was_read: false });
     }
 
-    /// A block, once it is there.
+    /// Returns a block, once it is there.
     ///
     /// # Errors
     /// The block cannot be brought, or the object has another version by now.
@@ -102,7 +102,7 @@ impl BlockCache {
         }
     }
 
-    /// Has a block brought that is not here.
+    /// Begins to fetch a block that is not there.
     fn begin(&'static self, held: &mut HeldBlocks, of: &Arc<ObjectVersion>, number: u64) -> Result<()> {
         if held.find(of, number).is_some() {
             return Ok(());
@@ -145,10 +145,10 @@ impl HeldBlocks {
         }
     }
 
-    /// Adds a block, in the place of those that were used least.
+    /// Adds a block, in the place of those that were not used for the longest time.
     fn insert(&mut self, of: &Arc<ObjectVersion>, number: u64, state: BlockState) {
         while self.blocks.len() >= self.most {
-            // What is on its way is waited for.
+            // A block on its way is waited for, and stays.
             let idle = self.blocks.iter().rposition(|block| !matches!(block.state, BlockState::Coming));
             let Some(idle) = idle else { break };
             self.blocks.remove(idle);
@@ -241,7 +241,7 @@ mod tests {
         put(&place, content);
         let error = blocks.get(&version, 0).unwrap_err().to_string();
         assert_eq!(error, "s3://b/a changed while it was read");
-        // What came before is of the version that was opened.
+        // The block that was read before is of the version that was opened.
         blocks.get(&version, 1).unwrap();
     }
 }

@@ -1,5 +1,5 @@
-//! What a store's refusal means to people. Texts of the library are not shown where they may quote a whole
-//! URL or an answer of the store, either of which may have in it what is secret.
+//! Failures of requests to a store, in words for people. Texts of the library are not shown where they may
+//! quote a whole URL or an answer of the store, either of which may have secrets in it.
 
 use std::error::Error as _;
 
@@ -7,7 +7,7 @@ use object_store::Error as StoreError;
 use object_store::client::{HttpError, HttpErrorKind};
 use simod_model::{Error, ErrorKind};
 
-/// How often a request is made whose answers are cut off, which the library does not repeat.
+/// Number of times that a request is made whose answers are cut off, which the library does not repeat.
 pub(crate) const TRIES: usize = 4;
 
 /// A failure of one request, of which several may want to hear.
@@ -19,7 +19,8 @@ pub(crate) struct RequestFailure {
 }
 
 impl RequestFailure {
-    /// What was wanted, as "cannot read s3://bucket/x.ply", and why it could not be.
+    /// Failure of a request, by what was wanted, as "cannot read s3://bucket/x.ply", and the error of the
+    /// library.
     pub fn new(wanted: &str, error: &StoreError) -> Self {
         let (why, hint) = reason(error);
         Self { kind: ErrorKind::Io, what: format!("{wanted}: {why}"), hint: hint.to_owned() }
@@ -54,19 +55,19 @@ const NETWORK: &str = "check the network, and the endpoint in the environment, a
 
 const BROKEN: &str = "the connection to the store broke, however often it was tried";
 
-/// Whether an answer came, but not whole.
+/// Whether an answer came, but was cut off.
 pub(crate) fn is_cut(error: &StoreError) -> bool {
     kind(error) == Some(HttpErrorKind::Decode)
 }
 
-/// Whether an answer broke off, as one that says that there is no such object: a request that changes nothing
-/// may be made again.
+/// Whether an answer broke off, such as the answer that there is no such object: a request that changes
+/// nothing may be made again.
 pub(crate) fn broke_off(error: &StoreError) -> bool {
     is_cut(error) || kind(error) == Some(HttpErrorKind::Interrupted)
 }
 
-/// Whether a range was asked for that begins at the end of the object or behind it, as any range does of an
-/// empty one.
+/// Whether a range was asked for that begins at the end of the object or behind it, as any range of an empty
+/// object does.
 pub(crate) fn is_beyond_end(error: &StoreError) -> bool {
     status(error).is_some_and(|(status, _)| status == "416")
 }
@@ -97,7 +98,7 @@ fn reason(error: &StoreError) -> (String, &'static str) {
     }
 }
 
-/// What went wrong with the connection, if that did.
+/// Failure of the connection in words, if the error is one.
 fn connection(error: &StoreError) -> Option<&'static str> {
     Some(match kind(error)? {
         HttpErrorKind::Connect => "the store cannot be reached",
@@ -117,7 +118,7 @@ fn kind(error: &StoreError) -> Option<HttpErrorKind> {
     None
 }
 
-/// What the store answered: a number and, of S3, a word.
+/// Answer of the store: a number and, of S3, a word.
 fn answer(error: &StoreError, otherwise: &str) -> String {
     match status(error) {
         Some((status, Some(code))) => format!("{otherwise}: it answers {status}, {code}"),
@@ -136,7 +137,7 @@ fn status(error: &StoreError) -> Option<(String, Option<String>)> {
     Some((status.to_owned(), code.filter(is_word).map(str::to_owned)))
 }
 
-/// The library's text, of what is no answer of a store, without what stands behind a "?".
+/// Text of the library for an error that is no answer of a store, without the part behind a "?".
 fn plain(error: &StoreError) -> String {
     let text = error.to_string();
     let cut = |word: &str| match word.split_once('?') {

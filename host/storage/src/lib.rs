@@ -22,7 +22,7 @@ use place::ObjectLocation;
 use reading::StoredObject;
 use upload::PartsUpload;
 
-/// Has objects opened by this crate from now on.
+/// Makes this crate open the objects of this process from now on.
 pub fn install() {
     object::install(Box::new(Stores));
 }

@@ -15,15 +15,15 @@ use simod_model::{Error, Result, object};
 
 use crate::failure::RequestFailure;
 
-/// No request is repeated that began so long ago.
+/// Longest time since a request began in which it is repeated.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How long a request may take, unless the environment says otherwise: one that brings a block, and one that
-/// sends a part.
+/// Longest time of a request, unless the environment sets another: of one that fetches a block, and of one
+/// that sends a part.
 const READING: &str = "60 seconds";
 const WRITING: &str = "300 seconds";
 
-/// An object by its store, and the name in it.
+/// Object by its store, and its name there.
 #[derive(Clone)]
 pub(crate) struct ObjectLocation {
     /// The object's URL, without what may be secret.
@@ -36,7 +36,7 @@ pub(crate) struct ObjectLocation {
 
 impl fmt::Debug for ObjectLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // What a store knows of itself has credentials.
+        // The store itself would show credentials.
         f.debug_struct("ObjectLocation").field("name", &self.name).finish_non_exhaustive()
     }
 }
@@ -62,7 +62,7 @@ impl ObjectLocation {
         let name = object::admit(url).to_string_lossy().into_owned();
         let refused =
             |e: object_store::Error| Error::from(RequestFailure::new(&format!("cannot open {name}"), &e));
-        // Of another provider none is linked, so that it is this one or an equal one.
+        // No other provider is linked, so that the installed one is this or an equal one.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let (scheme, rest) = url.split_once("://").unwrap_or((url, ""));
         let (host, path) = rest.split_once('/').unwrap_or((rest, ""));
@@ -74,7 +74,7 @@ impl ObjectLocation {
             return Err(Error::argument(format!("{name} names no object"), hint));
         }
         let retry = RetryConfig { retry_timeout: PATIENCE, ..RetryConfig::default() };
-        // What is set in the environment is left as it is.
+        // Timeouts that are set in the environment are left as they are.
         let is_unset = |prefix: &str| std::env::var_os(format!("{prefix}_TIMEOUT")).is_none();
         let of_client = ClientConfigKey::Timeout;
         let (store, parts): (Arc<dyn ObjectStore>, Option<Arc<dyn MultipartStore>>) = match scheme {

@@ -19,12 +19,13 @@ pub(crate) struct StoredObject {
 }
 
 impl StoredObject {
-    /// Opens it; `None` where there is none.
+    /// Opens the object; `None` where there is none.
     ///
     /// # Errors
     /// The store cannot be reached, or refuses.
     pub fn open(place: ObjectLocation) -> Result<Option<Self>> {
-        // As bytes, and not what is known of it, as a URL that was signed allows nothing else.
+        // The object is opened by reading its first bytes, and not by asking for its properties, as a URL
+        // that was signed allows nothing else.
         let first = GetOptions { range: Some(GetRange::Bounded(0..BLOCK)), ..GetOptions::default() };
         let ask = async || {
             let answer = place.store.get_opts(&place.path, first.clone()).await?;
@@ -34,7 +35,7 @@ impl StoredObject {
         let (meta, block) = loop {
             match wait(ask())? {
                 Ok(found) => break found,
-                // What says that there is none may be cut off, too.
+                // The answer that there is no such object may be cut off, too.
                 Err(e) if broke_off(&e) && tries.next().is_some() => {}
                 Err(StoreError::NotFound { .. }) => return Ok(None),
                 Err(e) if is_beyond_end(&e) => {

@@ -14,11 +14,11 @@ use crate::failure::{RequestFailure, TRIES, is_cut};
 use crate::place::ObjectLocation;
 use crate::runtime::{runtime, wait};
 
-/// Most bytes on their way, and most parts; but one part is, however long.
+/// Most bytes on their way, and most parts; but one part may be, however long.
 const MOST_BYTES: usize = 64 << 20;
 const MOST_PARTS: usize = 8;
 
-/// How long an abortion may take.
+/// Longest time of an abortion.
 const ABORTION: Duration = Duration::from_secs(10);
 
 /// An upload.
@@ -51,7 +51,7 @@ impl PartsUpload {
         }
     }
 
-    /// Goes on with one.
+    /// Goes on with an upload that was begun.
     ///
     /// # Errors
     /// The store takes no parts.
@@ -79,7 +79,7 @@ impl PartsUpload {
         Ok(())
     }
 
-    /// What is in the object's place: tag, when it was written, and length.
+    /// Object in the upload's place, if there is one: its tag, its time of writing, and its length.
     fn in_place(&self) -> Result<Option<(Option<String>, String, u64)>> {
         match wait(self.place.store.head(&self.place.path))? {
             Ok(meta) => Ok(Some((meta.e_tag, meta.last_modified.to_string(), meta.size))),

@@ -9,22 +9,24 @@ use crate::place::ObjectLocation;
 /// Bytes of a block.
 pub(crate) const BLOCK: u64 = 4 << 20;
 
-/// How often a block is asked for whose bytes stop too early, where the library does not see to it itself.
+/// Number of times that a block is asked for whose bytes stop too early, where the library does not see to
+/// that itself.
 const TRIES: usize = 4;
 
-/// A version of an object, and how it is asked for.
+/// Version of an object, and the conditions of requests for it.
 #[derive(Debug)]
 pub(crate) struct ObjectVersion {
     place: ObjectLocation,
     bytes: u64,
-    /// What tells it from others: its tag or, where the store gives none, when it was written.
+    /// Tag that tells the version from others: the store's or, where the store gives none, the time of
+    /// writing.
     tag: String,
-    /// What says so in a request.
+    /// Condition of a request by which no other version answers it.
     only: GetOptions,
 }
 
 impl ObjectVersion {
-    /// What a store says of an object.
+    /// Version of an object by the store's description of it.
     pub fn from_meta(place: ObjectLocation, meta: &ObjectMeta) -> Self {
         Self { place, bytes: meta.size, tag: tag_of(meta), only: only(meta) }
     }
@@ -44,12 +46,12 @@ impl ObjectVersion {
         &self.place.name
     }
 
-    /// What tells it from other versions of the same name.
+    /// Tag that tells the version from others of the same name.
     pub fn tag(&self) -> &str {
         &self.tag
     }
 
-    /// How many blocks it has.
+    /// Number of blocks of the object.
     pub fn blocks(&self) -> u64 {
         self.bytes.div_ceil(BLOCK)
     }
@@ -67,7 +69,7 @@ impl ObjectVersion {
                 Err(StoreError::Precondition { .. }) => return Err(RequestFailure::changed(self.name())),
                 Err(e) => return Err(RequestFailure::new(&what, &e)),
             };
-            // Not all stores look at what they are asked for.
+            // Some stores ignore the condition of the request.
             if tag_of(&answer.meta) != self.tag || answer.meta.size != self.bytes {
                 return Err(RequestFailure::changed(self.name()));
             }
@@ -85,7 +87,7 @@ fn tag_of(meta: &ObjectMeta) -> String {
     meta.e_tag.clone().unwrap_or_else(|| meta.last_modified.to_string())
 }
 
-/// What a request says so that no other version answers it.
+/// Condition of a request by which no other version answers it.
 fn only(meta: &ObjectMeta) -> GetOptions {
     // Weak ones never match.
     let tag = meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));

@@ -19,7 +19,7 @@ BUCKET = "models"
 
 KEY, SECRET = "AKIATHENAMEOFTHEKEY", "theSecretThatIsToldToNobody"
 
-# What the program finds in the environment: nothing of this machine's own.
+# Environment of the program: nothing of this machine's own.
 PLAIN = {name: os.environ[name] for name in ("PATH", "HOME", "TMPDIR") if name in os.environ}
 
 

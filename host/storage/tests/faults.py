@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-# What may become of a request, in the order of its way.
+# Ways in which a request may end, in the order of its path.
 PASSED = "passed"
 LATE = "late"
 DROPPED = "dropped"  # the server never hears of it

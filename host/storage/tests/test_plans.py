@@ -40,7 +40,7 @@ def test_units_send_parts_of_one_object(store: Store, tmp_path: Path, plane: Loc
     begun = store.client.list_multipart_uploads(Bucket=BUCKET)["Uploads"][0]
     sent = store.client.list_parts(Bucket=BUCKET, Key="out.ply", UploadId=begun["UploadId"])["Parts"]
     assert len(sent) >= 2 and all(part["Size"] == PART for part in sent)
-    # What units keep is what belongs to parts that they share with their neighbours.
+    # Units keep the bytes of parts that they share with their neighbours.
     kept = sum(path.stat().st_size for path in folder.glob("part-*.bin"))
     all_sent = sum(part["Size"] for part in sent)
     assert 0 <= kept + all_sent - plane.output.stat().st_size < 1 << 20

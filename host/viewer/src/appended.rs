@@ -10,26 +10,27 @@ use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap, HashSet};
 
-/// Neighbours along which ways over the surface go.
+/// Neighbours of a sample along which ways over the surface go.
 const RING: usize = 12;
-/// So many of those that were there before tell how the surface around one of them moved.
+/// Number of former samples that tell how the surface around one of them moved.
 const TELLING: usize = 32;
 
-/// The sample of a former sampling of the same model that stood just where each of a sampling does.
+/// The former sample at the very position of each sample of a later sampling of the same model, if there is
+/// one.
 pub fn former(before: &SampledModel, after: &SampledModel) -> Vec<Option<u32>> {
     let same = common(before, after);
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
-    // What another refinement appended may be appended again, in another order.
+    // Samples that another refinement appended may be appended again, in another order.
     let others: HashMap<[u32; 3], u32> =
         before.samples.positions[same..].iter().map(bits).zip(same as u32..).collect();
     let of = |(i, p): (usize, &Vec3)| if i < same { Some(i as u32) } else { others.get(&bits(p)).copied() };
     after.samples.positions.iter().enumerate().map(of).collect()
 }
 
-/// The known sample that is nearest to each, by ways over the surface from sample to sample; itself where it
-/// is known. `near` has the samples next to one; those that look the other way, as behind a thin wall, are
-/// not. Parts of the surface on which none is known belong to what is nearest in space. At least one has to
-/// be known.
+/// Nearest known sample of each sample, by ways over the surface from sample to sample; the sample itself
+/// where it is known. `near` gives the samples next to one; those whose normals point the other way, as
+/// behind a thin wall, are not ways on. Parts of the surface without a known sample belong to the known
+/// sample that is nearest in space. At least one sample has to be known.
 pub fn owners<'a>(
     samples: &SampleSet,
     is_known: impl Fn(usize) -> bool,
@@ -61,7 +62,7 @@ pub fn owners<'a>(
     if owners.contains(&None) {
         let known: Vec<u32> = (0..positions.len()).filter(|i| is_known(*i)).map(|i| i as u32).collect();
         let alone = known.iter().map(|i| positions[*i as usize]).collect();
-        // There is one at least, and all are finite.
+        // There is one known sample at least, and all positions are finite.
         let alone = SampleSet::new(alone, Vec::new()).ok();
         let nearest = |p: Vec3| alone.as_ref().map_or(0, |alone| known[alone.nearest(p) as usize]);
         let found = |(i, owner): (usize, &Option<u32>)| owner.unwrap_or_else(|| nearest(positions[i]));
@@ -70,16 +71,17 @@ pub fn owners<'a>(
     owners.into_iter().flatten().collect()
 }
 
-/// All samples of a scene as a step finds them: those that it knows, and the others, which refinements
-/// appended by it or later, as they go along with what is around them.
+/// All samples of a scene as a step finds them: the samples that the step knows, and the others, which
+/// refinements appended by the step or later, and which go along with the known ones around them.
 pub struct StepSamples<'a> {
-    /// Local coordinates.
+    /// Positions in local coordinates.
     pub positions: Cow<'a, [Vec3]>,
-    /// The one that each sample belongs to, of those that the step knows; nothing where it knows all.
+    /// The known sample to which each sample belongs; nothing where the step knows all samples.
     pub owners: Option<Vec<u32>>,
 }
 
-/// All samples as a step finds them; `before` has those that it knows, local coordinates.
+/// All samples as a step finds them; `before` has the positions of those that the step knows, in local
+/// coordinates.
 pub fn as_found<'a>(scene: &'a ViewerScene, before: &'a [Vec3]) -> StepSamples<'a> {
     let samples = &scene.sampled.samples;
     if before.len() >= samples.len() || before.is_empty() {
@@ -90,7 +92,8 @@ pub fn as_found<'a>(scene: &'a ViewerScene, before: &'a [Vec3]) -> StepSamples<'
     let neighbours = samples.neighbours();
     let ring = RING.min(neighbours.k());
     let owners = owners(samples, |i| i < known, |i| &neighbours.nearest_to(i)[..ring]);
-    // Samples that were there before are the neighbours of each other; of all, most may be appended ones.
+    // Known samples are the neighbours of each other here; among the neighbours in the whole set, most may
+    // be appended ones.
     let mut of_owner: Vec<u32> = owners[known..].to_vec();
     of_owner.sort_unstable();
     of_owner.dedup();
@@ -111,13 +114,14 @@ pub fn as_found<'a>(scene: &'a ViewerScene, before: &'a [Vec3]) -> StepSamples<'
     StepSamples { positions, owners: Some(owners) }
 }
 
-/// Some samples around one that were there before, which are the first ones, from it outwards.
+/// Some known samples around one of them, from it outwards; the first `known` samples of the scene are the
+/// known ones.
 fn known_around(scene: &ViewerScene, of: u32, known: usize) -> Vec<u32> {
     let neighbours = scene.sampled.samples.neighbours();
     let mut found = Vec::new();
     let mut seen = HashSet::from([of]);
     let mut ring = vec![of];
-    // Three rings, or refinements that are finer than that by far would be looked through as a whole.
+    // Three rings are enough; without a bound, refinements that are far finer would be searched as a whole.
     for _ in 0..3 {
         let next: Vec<u32> = ring.iter().flat_map(|i| neighbours.nearest_to(*i as usize)).copied().collect();
         ring = next.into_iter().filter(|j| seen.insert(*j)).collect();
@@ -130,8 +134,8 @@ fn known_around(scene: &ViewerScene, of: u32, known: usize) -> Vec<u32> {
     found
 }
 
-/// The sample itself if it is among the first ones, or one of these that is near it: from ring to ring of
-/// neighbours.
+/// The sample itself if it is one of the first `known` samples, or else one of these that is near it: from
+/// ring to ring of neighbours.
 pub fn owner_of(sampled: &SampledModel, sample: u32, known: usize) -> Option<u32> {
     let (neighbours, positions) = (sampled.samples.neighbours(), &sampled.samples.positions);
     let at = positions.get(sample as usize)?;

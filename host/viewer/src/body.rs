@@ -13,20 +13,21 @@ use std::sync::{Arc, OnceLock};
 /// Samples at which balls touch: many more than a body has parts.
 const CANDIDATES: usize = 1024;
 
-/// Balls beyond this part of the size of all samples lie in no body: the surface is open there.
+/// Greatest radius of a ball, as a part of the size of all samples; larger balls lie in no body, as the
+/// surface is open there.
 const LARGEST: f32 = 0.45;
 
-/// How often a ball shrinks at most, and by which part at least.
+/// Greatest number of shrinkings of a ball, and the least part by which each one makes it smaller.
 const TIMES: usize = 40;
 const LEAST: f32 = 1e-3;
 
-/// Balls below this part of the largest one's radius lie in limbs.
+/// Least radius of a ball in the body, as a part of the largest ball's; smaller balls lie in limbs.
 const SMALLEST: f32 = 0.75;
 
-/// The number of balls, at most.
+/// Greatest number of balls.
 const MOST: usize = 8;
 
-/// Bones within this part of the radius are in the body.
+/// Part of a ball's radius within which bones are in the body.
 const WITHIN: f64 = 0.8;
 
 /// A ball.
@@ -39,7 +40,7 @@ pub struct Ball {
 }
 
 impl Ball {
-    /// Whether a segment comes near to its middle.
+    /// Whether a segment comes nearer to the ball's middle than `WITHIN` of its radius.
     pub fn holds_some_of(&self, [a, b]: [DVec3; 2]) -> bool {
         let (along, to) = (b - a, self.center - a);
         let square = along.length_squared();
@@ -56,31 +57,31 @@ pub struct InscribedBalls {
 }
 
 impl InscribedBalls {
-    /// Begins to find them.
+    /// Begins to find the balls.
     pub fn find(of: &Arc<SampledModel>) -> Self {
         let this = Self { of: of.clone(), balls: Arc::default() };
         let (of, balls) = (this.of.clone(), this.balls.clone());
         let find = move || {
             balls.get_or_init(|| largest_balls(&of.samples));
         };
-        // Without a thread they are found where somebody asks for them.
+        // Without a thread the balls are found where somebody asks for them.
         let _ = std::thread::Builder::new().name("body".into()).spawn(find);
         this
     }
 
-    /// Whether they are those of a model.
+    /// Whether the balls are those of this model.
     pub fn is_of(&self, model: &Arc<SampledModel>) -> bool {
         Arc::ptr_eq(&self.of, model)
     }
 
-    /// All of them, once they are found; local coordinates.
+    /// All balls, in local coordinates; waits until they are found.
     pub fn balls(&self) -> &[Ball] {
         self.balls.get_or_init(|| largest_balls(&self.of.samples))
     }
 }
 
-/// The largest balls inside of a surface, none of which has its middle in another one; local coordinates.
-/// None where it encloses nothing.
+/// Largest balls inside of a surface, none of which has its middle in another one, in local coordinates.
+/// Empty where the surface encloses nothing.
 pub fn largest_balls(samples: &SampleSet) -> Vec<Ball> {
     let bound =
         |start: Vec3, extreme: fn(Vec3, Vec3) -> Vec3| samples.positions.iter().copied().fold(start, extreme);
@@ -103,8 +104,8 @@ pub fn largest_balls(samples: &SampleSet) -> Vec<Ball> {
     taken.into_iter().map(ball).collect()
 }
 
-/// The ball that touches at a sample from inside; nothing where it does not become smaller than the
-/// `largest`.
+/// Ball that touches a sample from inside: its middle and radius; nothing where it does not become smaller
+/// than the `largest`.
 fn ball_at(samples: &SampleSet, sample: usize, largest: f32) -> Option<(Vec3, f32)> {
     let (p, inward) = (samples.positions[sample], -samples.normals()[sample]);
     let mut radius = largest;
@@ -114,7 +115,7 @@ fn ball_at(samples: &SampleSet, sample: usize, largest: f32) -> Option<(Vec3, f3
         if other.distance(center) >= radius * (1.0 - LEAST) {
             break;
         }
-        // Of the ball through both that touches at the first.
+        // Radius of the ball through both samples that touches the first one.
         let way = other - p;
         radius = way.length_squared() / (2.0 * inward.dot(way)).max(f32::MIN_POSITIVE);
     }

@@ -1,7 +1,7 @@
-//! A camera that goes round a point, in local coordinates, where models are of about unit size.
+//! Camera that goes round a point, in local coordinates, where models are of about unit size.
 //!
-//! The camera's way of looking is two angles about an upright axis, so it never rolls, and stops above and
-//! below. Pixels are counted from the top left of the picture; their middles are at halves.
+//! The camera's direction is two angles about an upright axis, so the camera never rolls, and stops above
+//! and below. Pixels are counted from the top left of the picture; their middles are at halves.
 
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
@@ -11,10 +11,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Up {
-    /// As in most programs for pictures.
+    /// Upright axis of most programs for pictures.
     #[default]
     Y,
-    /// As in most programs for measuring and building.
+    /// Upright axis of most programs for measuring and building.
     Z,
 }
 
@@ -22,14 +22,14 @@ pub enum Up {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Projection {
-    /// What is farther is smaller.
+    /// Far things look smaller.
     #[default]
     Perspective,
-    /// Sizes are the same at all depths.
+    /// Sizes look the same at all depths.
     Orthographic,
 }
 
-/// Ways to look that have a name.
+/// Standard views, each with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "they say it")]
@@ -49,11 +49,11 @@ pub enum Standard {
 pub struct Camera {
     /// The point that the camera goes round.
     pub target: DVec3,
-    /// From the front towards the right, radians.
+    /// Angle from the front towards the right, in radians.
     pub yaw: f64,
-    /// From the horizon upwards, radians, at most a right angle.
+    /// Angle from the horizon upwards, in radians, at most a right angle.
     pub pitch: f64,
-    /// From the target to the eye.
+    /// Distance from the target to the eye.
     pub distance: f64,
     /// The angle from the picture's lower edge to its upper one, radians.
     pub fov: f64,
@@ -77,12 +77,12 @@ impl Default for Camera {
     }
 }
 
-/// A way through the scene.
+/// Ray through the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
     /// The point where the ray begins.
     pub origin: DVec3,
-    /// Where the ray goes, of length 1.
+    /// Direction of the ray, of length 1.
     pub direction: DVec3,
 }
 
@@ -90,7 +90,8 @@ pub struct Ray {
 const DISTANCES: [f64; 2] = [1e-6, 1e4];
 
 impl Camera {
-    /// To the right, upwards, and towards the eye: of length 1, at right angles, right-handed.
+    /// Axes of the camera, to the right, upwards, and towards the eye: of length 1, at right angles,
+    /// right-handed.
     pub fn axes(&self) -> [DVec3; 3] {
         let (sin, cos) = self.yaw.sin_cos();
         let right = DVec3::new(cos, 0.0, -sin);
@@ -108,14 +109,15 @@ impl Camera {
         self.target + self.axes()[2] * self.distance
     }
 
-    /// From local coordinates to those of the eye: x to the right, y upwards, z towards it.
+    /// Map from local coordinates to those of the eye: x to the right, y upwards, z towards the eye.
     pub fn view(&self) -> DMat4 {
         let [right, up, back] = self.axes();
         let rows = DMat4::from_cols(right.extend(0.0), up.extend(0.0), back.extend(0.0), DVec4::W);
         rows.transpose() * DMat4::from_translation(-self.eye())
     }
 
-    /// From the eye's coordinates to the picture's, right-handed, with depths from 0 at `near` to 1 at `far`.
+    /// Map from the eye's coordinates to the picture's, right-handed, with depths from 0 at `near` to 1 at
+    /// `far`.
     pub fn projection(&self, size: [f64; 2], [near, far]: [f64; 2]) -> DMat4 {
         let aspect = aspect(size);
         let depth = 1.0 / (near - far);
@@ -141,7 +143,7 @@ impl Camera {
         }
     }
 
-    /// Both, with depths around what is between these corners.
+    /// View and projection in one map, with depths around a box between two corners.
     pub fn view_projection(&self, size: [f64; 2], bounds: [DVec3; 2]) -> DMat4 {
         self.projection(size, self.near_far(bounds)) * self.view()
     }
@@ -151,7 +153,8 @@ impl Camera {
         self.distance * (0.5 * self.fov).tan()
     }
 
-    /// Depths that what is between two corners lies between. In perspective the nearer one is positive.
+    /// Depths of the near and the far plane around a box between two corners. In perspective the nearer one
+    /// is positive.
     pub fn near_far(&self, [min, max]: [DVec3; 2]) -> [f64; 2] {
         let (center, radius) = (0.5 * (min + max), (0.5 * (max - min).length()).max(1e-6));
         let (center, radius) =
@@ -186,7 +189,7 @@ impl Camera {
         }
     }
 
-    /// The pixel that shows a point, and the point's depth before the eye; nothing for points behind it in
+    /// Pixel that shows a point, and the point's depth before the eye; nothing for points behind the eye in
     /// perspective.
     pub fn project(&self, p: DVec3, size: [f64; 2]) -> Option<(DVec2, f64)> {
         let [right, up, back] = self.axes();
@@ -202,7 +205,7 @@ impl Camera {
         pixel.is_finite().then_some((pixel, depth))
     }
 
-    /// How long a pixel is at a depth.
+    /// Length of a pixel's side at a depth, in local coordinates.
     pub fn pixel_length(&self, depth: f64, size: [f64; 2]) -> f64 {
         let half = match self.projection {
             Projection::Perspective => depth.max(0.0) * (0.5 * self.fov).tan(),
@@ -217,7 +220,7 @@ impl Camera {
         self.pitch = (self.pitch + pitch).clamp(-FRAC_PI_2, FRAC_PI_2);
     }
 
-    /// Moves along the picture, so that what is as deep as the target follows the pointer, which moved by so
+    /// Moves along the picture, so that things as deep as the target follow the pointer, which moved by so
     /// many pixels.
     pub fn pan(&mut self, pixels: DVec2, size: [f64; 2]) {
         let length = self.pixel_length(self.distance, size);
@@ -225,7 +228,8 @@ impl Camera {
         self.target += (up * pixels.y - right * pixels.x) * length;
     }
 
-    /// Makes everything larger by a factor. The anchor, a point under the pointer, stays there.
+    /// Makes all larger by a factor. The anchor, a point under the pointer, stays where it is in the
+    /// picture.
     pub fn zoom(&mut self, factor: f64, anchor: DVec3) {
         let distance = (self.distance / factor).clamp(DISTANCES[0], DISTANCES[1]);
         // All of the camera comes nearer to the anchor, which stays in the same direction.
@@ -233,7 +237,7 @@ impl Camera {
         self.distance = distance;
     }
 
-    /// The point under a pixel that is as deep as the target: to zoom to where nothing is under the pointer.
+    /// Point under a pixel at the target's depth: the anchor of a zoom where nothing is under the pointer.
     pub fn at_target_depth(&self, pixel: DVec2, size: [f64; 2]) -> DVec3 {
         let ray = self.ray(pixel, size);
         let back = self.axes()[2];
@@ -241,7 +245,7 @@ impl Camera {
         ray.origin + ray.direction * t
     }
 
-    /// Shows all that is between two corners, from the same side as before.
+    /// Shows a whole box between two corners, from the same side as before.
     pub fn frame(&mut self, [min, max]: [DVec3; 2], size: [f64; 2]) {
         if !(min.is_finite() && max.is_finite()) {
             return;
@@ -253,7 +257,7 @@ impl Camera {
         self.distance = (radius / narrow.sin()).clamp(DISTANCES[0], DISTANCES[1]);
     }
 
-    /// Looks from a side that has a name.
+    /// Looks from a standard side.
     pub fn look(&mut self, from: Standard) {
         (self.yaw, self.pitch) = match from {
             Standard::Front => (0.0, 0.0),
@@ -267,7 +271,7 @@ impl Camera {
         };
     }
 
-    /// Whether all its numbers make sense.
+    /// Whether all numbers of the camera are finite and within their bounds.
     pub fn is_valid(&self) -> bool {
         let all = [self.yaw, self.pitch, self.distance, self.fov];
         self.target.is_finite()

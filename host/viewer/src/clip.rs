@@ -1,10 +1,10 @@
-//! A plane that cuts the model open: what lies beyond it is not shown, and cannot be pointed at.
+//! Plane that cuts the model open: the part beyond the plane is not shown, and cannot be pointed at.
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 
-/// A plane in model coordinates; what lies where its normal points to is cut away.
+/// Plane in model coordinates; the side to which its normal points is cut away.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Clip {
@@ -15,25 +15,25 @@ pub struct Clip {
 }
 
 impl Clip {
-    /// Whether its numbers make a plane.
+    /// Whether the numbers make a plane.
     pub fn is_plane(&self) -> bool {
         self.through.is_finite() && self.normal.try_normalize().is_some()
     }
 
-    /// The plane in local coordinates: what is cut away is where `n · p > d`, for the unit normal n.
+    /// Plane in local coordinates: points with `n · p > d` are cut away, for the unit normal n.
     pub fn local(&self, frame: &Frame) -> (DVec3, f64) {
         let normal = self.normal.normalize_or(DVec3::X);
         let through = frame.to_local_exact(self.through);
         (normal, normal.dot(through))
     }
 
-    /// The plane with the other side cut away.
+    /// Plane with the other side cut away.
     pub fn flipped(self) -> Self {
         Self { normal: -self.normal, ..self }
     }
 }
 
-/// Whether a point is cut away by a plane; all in local coordinates.
+/// Whether a point is cut away by a plane; both in local coordinates.
 pub fn cuts(plane: Option<(DVec3, f64)>, p: Vec3) -> bool {
     plane.is_some_and(|(normal, distance)| normal.dot(p.as_dvec3()) > distance)
 }

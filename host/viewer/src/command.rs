@@ -1,4 +1,4 @@
-//! All that a user can do. A list of commands, one JSON object a line, is a recording of an edit.
+//! Commands: all that a user can do. A list of commands, one JSON object a line, is a recording of an edit.
 
 use crate::camera::{Camera, Projection, Standard, Up};
 use crate::clip::Clip;
@@ -14,8 +14,8 @@ use simod_session::session_file::SamplingTable;
 use simod_session::step::Role;
 use std::path::PathBuf;
 
-/// One thing that a user does. Steps are known by their place, 0 for the first; pixels are counted from the
-/// top left of the picture.
+/// One action of a user. Steps are known by their place, 0 for the first; pixels are counted from the top
+/// left of the picture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
@@ -23,10 +23,10 @@ pub enum Command {
     Open {
         /// The path of the file or folder.
         path: PathBuf,
-        /// How finely a model is sampled.
+        /// Fineness with which a model is sampled.
         #[serde(default)]
         sampling: SamplingTable,
-        /// Takes what was kept of it against a crash.
+        /// Whether the edit that was kept against a crash is taken instead of the file's.
         #[serde(default)]
         recover: bool,
     },
@@ -34,29 +34,29 @@ pub enum Command {
     Locate {
         /// The path of the session or folder.
         path: PathBuf,
-        /// Where the model is now.
+        /// Present path of the model.
         model: PathBuf,
-        /// Takes what was kept of it against a crash.
+        /// Whether the edit that was kept against a crash is taken instead of the file's.
         #[serde(default)]
         recover: bool,
     },
     /// Changes the steps.
     Edit(edit::EditCommand),
-    /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are
-    /// undone as one.
+    /// Changes the steps while something is dragged: a draft is made of the change. All changes of the same
+    /// thing are undone as one.
     Drag(edit::EditCommand),
-    /// The end of a drag: what was dragged rests.
+    /// Ends a drag: the thing that was dragged rests.
     Rest,
     /// Takes the last change of the steps, or of the selection, back.
     Undo,
-    /// Does it again.
+    /// Does the change again that was taken back last.
     Redo,
-    /// Works on a step from now on.
+    /// Chooses the step that is worked on from now on.
     Choose {
         /// The step's place; none for the model itself.
         step: Option<usize>,
     },
-    /// A new step of a plugin, with its defaults, which is chosen.
+    /// Adds a step of a plugin, with its defaults, and chooses it.
     AddStep {
         /// The plugin's id.
         plugin: String,
@@ -69,7 +69,7 @@ pub enum Command {
     Paste {
         /// The text.
         text: String,
-        /// The place of the first; behind the chosen one if it is not given, or the last ones.
+        /// Place of the first new step; if not given, behind the chosen step, or behind the last one.
         #[serde(default)]
         at: Option<usize>,
     },
@@ -77,82 +77,84 @@ pub enum Command {
     Select {
         /// The samples that are meant.
         area: Area,
-        /// What becomes of those that are selected.
+        /// Effect on the former selection.
         #[serde(default)]
         combine: Combine,
-        /// Only those that can be seen, instead of all that are behind each other.
+        /// Whether only visible samples are meant, instead of all that are behind each other.
         #[serde(default)]
         visible: bool,
-        /// Goes on with the command before, as while a brush is moved: both are undone as one.
+        /// Whether the selection continues that of the command before, as while a brush is moved: both are
+        /// undone as one.
         #[serde(default)]
         goes_on: bool,
     },
-    /// Makes a region of what is selected.
+    /// Makes a region of the selected samples.
     MakeRegion {
         /// The step.
         step: usize,
-        /// What the region is for.
+        /// Role of the region.
         role: Role,
-        /// How far beyond its border it fades out, in the model's unit.
+        /// Distance beyond the region's border over which its weight fades out, in the model's unit.
         #[serde(default)]
         falloff: f64,
-        /// The region that it takes the place of, with its motion; otherwise it is one more.
+        /// Place of the region that is replaced, and whose motion the new one keeps; otherwise a region is
+        /// added.
         #[serde(default)]
         replaces: Option<usize>,
     },
-    /// Makes a handle region of what is selected, and a fixed one of what is farther from it along the
-    /// surface than a band, which bends.
+    /// Makes a handle region of the selected samples, and a fixed one of the samples that are farther from
+    /// them along the surface than a band, which bends.
     MakeHandle {
         /// The step.
         step: usize,
-        /// How wide the band is, in the model's unit.
+        /// Width of the band, in the model's unit.
         band: f64,
     },
-    /// More samples where it is selected, as a new step behind the others.
+    /// Adds samples in the selection, as a new step behind the others.
     RefineSelection {
         /// The fineness that is wanted.
         finer: Finer,
     },
-    /// A joint of a skeleton of the user's, moved if there is one of this id.
+    /// Places a joint of the user's skeleton, or moves the joint of this id.
     PlaceJoint {
         /// The step.
         step: usize,
         /// The joint's id.
         id: String,
-        /// Where it is at rest, model coordinates, as the step finds them.
+        /// Place of the joint at rest, in model coordinates, on the surface as the step finds it.
         at: DVec3,
-        /// The joint that it hangs on.
+        /// Id of the joint's parent.
         #[serde(default)]
         parent: Option<String>,
     },
-    /// A brush is put on the surface.
+    /// Puts a brush on the surface.
     BeginStroke {
         /// The step.
         step: usize,
         /// Radius of the brush, in the model's unit.
         radius: f64,
-        /// 1 is full strength, negative ones do the opposite.
+        /// Strength: 1 is full; negative ones do the opposite.
         strength: f64,
         /// The parameters that differ from the step's.
         #[serde(default)]
         params: toml::Table,
     },
-    /// The brush moves.
+    /// Moves the brush.
     StrokePoint {
-        /// Where to, model coordinates, as the step finds them: see
+        /// Place of the brush, in model coordinates, on the surface as the step finds it: see
         /// [`State::in_step`](crate::State::in_step).
         at: DVec3,
         /// The pen's pressure, 0 to 1, if there is a pen.
         #[serde(default)]
         pressure: Option<f32>,
     },
-    /// The brush is lifted, and the stroke is one of the step's.
+    /// Lifts the brush: the stroke becomes one of the step's.
     EndStroke,
-    /// The stroke is not wanted.
+    /// Drops the stroke that is being drawn.
     DropStroke,
     /// Saves the session, at its path or another one.
     Save {
-        /// Another one.
+        /// Another path.
         #[serde(default)]
         path: Option<PathBuf>,
     },
@@ -166,7 +168,7 @@ pub enum Command {
         /// The job that is stopped.
         job: Job,
     },
-    /// The picture has another size.
+    /// Changes the size of the picture.
     Resize {
         /// Width and height in pixels.
         size: [f64; 2],
@@ -175,33 +177,33 @@ pub enum Command {
     Camera(CameraMove),
     /// Shows something else on the surface.
     Show(Overlay),
-    /// Shows the model's own colours where no numbers are shown, or does not: shown at first.
+    /// Shows the model's own colours where no numbers are shown, or hides them: shown at first.
     ShowOwnColors(bool),
-    /// Cuts the model open, to be looked into, or closes it again. What is cut away is not seen, and cannot
-    /// be pointed at; the edit is as it was.
+    /// Cuts the model open, to be looked into, or closes it again. The part that is cut away is not seen,
+    /// and cannot be pointed at; the edit is as it was.
     Clip(Option<Clip>),
-    /// Measures along these points instead of the former ones; none measure nothing.
+    /// Measures along these points instead of the former ones; without points nothing is measured.
     Measure {
-        /// Where they are before all steps, model coordinates: they go along with the surface; see
-        /// [`State::at_rest`](crate::State::at_rest).
+        /// Places of the points before all steps, in model coordinates: the points go along with the
+        /// surface; see [`State::at_rest`](crate::State::at_rest).
         points: Vec<DVec3>,
     },
-    /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
-    /// the edit rests after they have moved. It is no part of the edit.
+    /// Shows a part of the model in full instead of its samples: the vertices of the part are streamed,
+    /// again each time the edit rests after they have moved. The preview is no part of the edit.
     Preview {
         /// The part of the model.
         what: Previewed,
     },
-    /// Keeps the steps as they are now, with what they come to, as the version to compare with.
+    /// Keeps the steps as they are now, with their result, as the version to compare with.
     Pin,
-    /// Takes the steps of a session as the version to compare with, done on the samples that are there.
+    /// Takes the steps of a session as the version to compare with, done on the samples of the open model.
     PinSession {
         /// The session's file.
         path: PathBuf,
     },
-    /// There is no version to compare with any more.
+    /// Drops the version to compare with.
     Unpin,
-    /// Goes on with the version to compare with, which the steps so far become.
+    /// Goes on with the version to compare with, in whose place the steps so far are kept.
     SwapPinned,
 }
 
@@ -209,41 +211,41 @@ pub enum Command {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Area {
-    /// All.
+    /// All samples.
     All,
-    /// None.
+    /// No sample.
     None,
-    /// All others than those that are selected.
+    /// All samples that are not selected.
     Inverse,
-    /// One more around those that are selected.
+    /// The selection, larger by a ring.
     Grown,
     /// The selection, smaller by a ring.
     Shrunk,
-    /// Under a brush that is moved along pixels.
+    /// Samples under a brush that is moved along pixels.
     Brush {
         /// The pixels.
         path: Vec<[f64; 2]>,
         /// The radius in pixels.
         radius: f64,
     },
-    /// Within a line that goes round.
+    /// Samples within a closed line.
     Lasso {
-        /// The pixels on its way.
+        /// Pixels along the line.
         path: Vec<[f64; 2]>,
     },
-    /// Within a box.
+    /// Samples within a rectangle of the picture.
     Box {
         /// A corner of the rectangle.
         from: [f64; 2],
-        /// The opposite one.
+        /// Corner opposite to the first.
         to: [f64; 2],
     },
-    /// All that is connected with what is seen at a pixel.
+    /// All samples that are connected with the one seen at a pixel.
     Connected {
         /// The pixel.
         at: [f64; 2],
     },
-    /// Where a region of a step has at least half of its weight.
+    /// Samples at which a region of a step has at least half of its weight.
     Region {
         /// The step.
         step: usize,
@@ -258,35 +260,35 @@ pub enum Area {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CameraMove {
-    /// Round its target.
+    /// Turns the camera round its target.
     Orbit {
         /// The turn to the right, in radians.
         yaw: f64,
-        /// Upwards, radians.
+        /// Turn upwards, in radians.
         pitch: f64,
     },
-    /// Along the picture.
+    /// Moves the camera along the picture.
     Pan {
-        /// How far the pointer moved, in pixels.
+        /// Shift of the pointer, in pixels.
         by: [f64; 2],
     },
-    /// Nearer to what is under the pointer, or away from it.
+    /// Brings the camera nearer to the point under the pointer, or farther from it.
     Zoom {
-        /// By how much things get larger.
+        /// Factor by which things get larger.
         factor: f64,
         /// The pointer's pixel.
         at: [f64; 2],
     },
-    /// All of the model is seen.
+    /// Shows all of the model.
     FrameAll,
-    /// All that is selected is seen.
+    /// Shows all selected samples.
     FrameSelection,
-    /// From a side that has a name.
+    /// Looks from a standard side.
     Look(Standard),
-    /// How depth shows.
+    /// Changes the projection of depth.
     Project(Projection),
-    /// Has another axis point up.
+    /// Makes another axis point up.
     Up(Up),
-    /// As it was some other time.
+    /// Sets the camera to a former one.
     Set(Camera),
 }

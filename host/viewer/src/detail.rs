@@ -1,9 +1,9 @@
-//! Vertices of the model that are to be seen instead of samples, and which of them are where the samples are
-//! now.
+//! Vertices of the model that are to be seen instead of samples, and which of them agree with the samples'
+//! present positions.
 //!
-//! They come cell by cell. A cell is *fresh* while the samples that decide where its vertices go are where
-//! they were when it was carried over; else it is *stale*, and its samples stand for it again. So what was
-//! streamed stays of use when a change is taken back.
+//! The vertices come cell by cell. A cell is *fresh* while the samples that decide on the positions of its
+//! vertices are where they were when the cell was carried over; else the cell is *stale*, and its samples
+//! stand for it again. So vertices that were streamed stay of use when a change is taken back.
 
 use crate::engine::SamplePose;
 use crate::tint::Tint;
@@ -14,28 +14,28 @@ use simod_core::touching::Contacts;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What is to be seen in full.
+/// Part of the model that is to be seen in full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Previewed {
-    /// What the camera sees now.
+    /// The part that the camera sees when asked.
     Seen,
-    /// The samples that are selected now.
+    /// The samples that are selected when asked.
     Selection,
-    /// Nothing: samples everywhere.
+    /// No part: samples everywhere.
     Nothing,
 }
 
-/// Vertices in pieces, as they came.
+/// Vertices in pieces, in which they came.
 ///
-/// Memory: 32 bytes for each vertex, 56 for each splat. There are at most twice as many as were
-/// [chosen](DetailRequest), as a piece is made anew when others have taken the place of more than half of it;
-/// and for what was chosen before, until that is replaced.
+/// Memory: 32 bytes for each vertex, 56 for each splat. There are at most twice as many vertices as were
+/// [chosen](DetailRequest), as a piece is made anew when others have taken the place of more than half of
+/// it; and in addition those that were chosen before, until they are replaced.
 pub struct Detail {
     of: Previewed,
     chosen: DetailRequest,
     tint: Tint,
-    /// What is held of each of the model's cells.
+    /// State of each cell of the model: its vertices, if there are any.
     held: Vec<Option<HeldCell>>,
     pieces: BTreeMap<u64, DetailPiece>,
     made: u64,
@@ -45,21 +45,21 @@ pub struct Detail {
     revision: u64,
 }
 
-/// A batch, as much of it as is shown.
+/// Batch of vertices, with the cells of it that are shown.
 pub struct DetailPiece {
     /// The vertices.
     pub batch: Arc<DetailBatch>,
-    /// What they have values of.
+    /// Colour values that the vertices came with.
     pub tint: Tint,
-    /// Whether those of each of its cells are shown.
+    /// Whether the vertices of each cell of the batch are shown.
     pub shown: Vec<bool>,
-    /// Counts up when what is shown changes.
+    /// Revision of the shown cells, which counts up with each change.
     pub revision: u64,
-    /// Vertices that others took the place of.
+    /// Number of vertices whose place others took.
     dead: usize,
 }
 
-/// What is held of a cell.
+/// Vertices of a cell that are held, with the pose by which they were carried.
 struct HeldCell {
     piece: u64,
     /// The number of the cell among those of its piece.
@@ -70,21 +70,21 @@ struct HeldCell {
     fresh: bool,
 }
 
-/// How much is shown in full.
+/// Numbers of vertices in full, for the user.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DetailCounts {
     /// Number of vertices that are shown ...
     pub vertices: u64,
-    /// ... one of so many that are there ...
+    /// ... one of so many vertices that there are ...
     pub stride: u64,
-    /// ... and so many are wanted.
+    /// ... and number of vertices that are wanted.
     pub wanted: u64,
     /// Vertices of stale cells that are not shown, as a share of those that are wanted.
     pub stale: f64,
 }
 
 impl Detail {
-    /// A detail of which nothing is there yet.
+    /// Detail that has no vertices yet.
     pub fn new(of: Previewed, chosen: DetailRequest, pose: SamplePose, tint: Tint) -> Self {
         let cells = pose.sampled.held_cells().map_or(0, |kept| kept.cells.len());
         let held = (0..cells).map(|_| None).collect();
@@ -92,18 +92,19 @@ impl Detail {
         Self { of, chosen, tint, held, pieces: BTreeMap::new(), made: 0, pose, covered, revision: 0 }
     }
 
-    /// The part of the model that it is of.
+    /// Part of the model that the detail is of.
     pub fn previewed(&self) -> Previewed {
         self.of
     }
 
-    /// What vertices are to be coloured by.
+    /// Colour values that are wanted of the vertices.
     pub fn tint(&self) -> Tint {
         self.tint
     }
 
-    /// Vertices are to be coloured by something else. Whether others have to come for that: those that are
-    /// there stay until then, and where samples have the colour, they are of use as they are.
+    /// Changes the colour values that are wanted of the vertices. Returns whether other vertices have to
+    /// come for that: those that are there stay until then, and where samples have the colour, they are of
+    /// use as they are.
     pub fn tint_by(&mut self, tint: Tint) -> bool {
         let before = std::mem::replace(&mut self.tint, tint);
         before != tint
@@ -114,18 +115,18 @@ impl Detail {
         &self.pieces
     }
 
-    /// Whether vertices are shown in the place of each sample.
+    /// Whether each sample's place is taken by vertices.
     pub fn covered(&self) -> &Arc<[bool]> {
         &self.covered
     }
 
-    /// Counts up when anything changes.
+    /// Revision, which counts up when anything changes.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// Other cells are wanted, or others of their vertices. What is there and not wanted is let go; what is
-    /// wanted in another number stays until that has come.
+    /// Changes the cells that are wanted, or the share of their vertices. Cells that are not wanted are let
+    /// go; cells that are wanted with another share stay until that has come.
     pub fn choose(&mut self, of: Previewed, chosen: DetailRequest) {
         (self.of, self.chosen) = (of, chosen);
         for cell in 0..self.held.len() {
@@ -139,7 +140,7 @@ impl Detail {
         self.update();
     }
 
-    /// The cells that are wanted and not there as they should be.
+    /// Cells that are wanted and not there, or not fresh, or with another share or colour.
     pub fn missing(&self) -> DetailRequest {
         let stride = self.chosen.stride;
         let is_tinted = |held: &HeldCell| self.tint == Tint::Samples || held.tint == self.tint;
@@ -172,7 +173,7 @@ impl Detail {
         self.update();
     }
 
-    /// The samples are somewhere else, or there are others.
+    /// Takes another pose, or other samples.
     pub fn follow(&mut self, pose: SamplePose) {
         if !pose.is(&self.pose) {
             self.pose = pose;
@@ -181,7 +182,7 @@ impl Detail {
         }
     }
 
-    /// The numbers of vertices and bytes.
+    /// Numbers of vertices that are shown and wanted.
     pub fn figures(&self) -> DetailCounts {
         let [_, wanted] = self.chosen.vertices(&self.pose.sampled);
         let count = |fresh: bool| -> u64 {
@@ -192,7 +193,7 @@ impl Detail {
         DetailCounts { vertices: count(true), stride: self.chosen.stride, wanted, stale: stale.min(1.0) }
     }
 
-    /// The vertices of a cell are not shown any more.
+    /// Hides the vertices of a cell for good.
     fn bury(&mut self, held: &HeldCell) {
         if let Some(piece) = self.pieces.get_mut(&held.piece) {
             piece.dead += piece.batch.cells[held.run].1.len();
@@ -201,7 +202,8 @@ impl Detail {
         }
     }
 
-    /// Lets go of pieces that are dead, and of the dead part of those that are for the most part.
+    /// Lets go of pieces of which nothing is shown, and of the dead part of pieces that are dead for the
+    /// most part.
     fn tidy(&mut self) {
         let all = |piece: &DetailPiece| piece.batch.positions.len();
         let old: Vec<u64> =
@@ -230,7 +232,7 @@ impl Detail {
         }
     }
 
-    /// Finds out which cells are fresh. These were carried by the pose as it is, too.
+    /// Marks the cells that are fresh. Fresh cells then count as carried by the present pose.
     fn compare(&mut self) {
         let mut known: Vec<(SamplePose, Option<Vec<bool>>)> = Vec::new();
         let Some(kept) = self.pose.sampled.held_cells() else { return };
@@ -249,7 +251,7 @@ impl Detail {
         }
     }
 
-    /// Brings what is shown up to what is fresh.
+    /// Shows the cells that are fresh, and hides the others.
     fn update(&mut self) {
         self.revision += 1;
         for held in self.held.iter().flatten() {
@@ -276,10 +278,11 @@ impl Detail {
     }
 }
 
-/// Whether vertices around each sample go elsewhere by one pose than by another; nothing where all do.
+/// Whether vertices around each sample have other positions by one pose than by another; nothing where all
+/// have.
 ///
-/// Where a vertex goes is told by expansions around it, and these by the samples around theirs: two rings of
-/// neighbours.
+/// The position of a vertex follows from expansions at the samples around it, and these from the samples
+/// around theirs: two rings of neighbours.
 fn elsewhere(a: &SamplePose, b: &SamplePose) -> Option<Vec<bool>> {
     if !Arc::ptr_eq(&a.sampled, &b.sampled) {
         return None;

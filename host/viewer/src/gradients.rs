@@ -1,13 +1,13 @@
-//! What the steps do to the surface around a sample, to the first order: for the eye, and for what is carried
+//! Linear maps of the surface around samples by the steps: for the eye, and for points that are carried
 //! over between samples.
 
 use crate::scene::ViewerScene;
 use glam::{Mat3, Vec3};
 
-/// Neighbours that tell how the surface is stretched around a sample.
+/// Number of neighbours to which the map around a sample is fitted.
 const RING: usize = 12;
 
-/// The linear map of the surface around a sample; nothing where the neighbours do not tell.
+/// Linear map of the surface around a sample; nothing where the neighbours do not determine it.
 pub fn around(scene: &ViewerScene, i: usize) -> Option<Mat3> {
     let samples = &scene.sampled.samples;
     let neighbours = samples.neighbours();
@@ -15,9 +15,9 @@ pub fn around(scene: &ViewerScene, i: usize) -> Option<Mat3> {
     tangent_map(&samples.positions, &scene.positions, i, near, samples.normals()[i])
 }
 
-/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent
-/// plane; neighbours that are not among the positions now tell nothing. It is fitted to displacements, so
-/// that nothing is stretched where nothing moves. Nothing where the neighbours lie on a line.
+/// Linear map that carries the vectors to the neighbours over best, in the least squares along the tangent
+/// plane; neighbours without a position in `now` are left out. The map is fitted to displacements, so that
+/// nothing is stretched where nothing moves. Nothing where the neighbours lie on a line.
 pub fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
     let (s, t) = n.try_normalize()?.any_orthonormal_pair();
     let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);

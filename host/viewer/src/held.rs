@@ -21,15 +21,15 @@ struct HeldHandle {
     id: String,
     placed: PlacedHandle,
     can: Gizmo,
-    /// How much of the hand's motion it does: 1 for those that are held, less for those around them.
+    /// Weight of the hand's motion: 1 for the handles that are held, less for those around them.
     weight: f64,
 }
 
 impl GrabbedHandles {
-    /// Holds those that were `chosen`, by their ids; others that are nearer to one of them than `reach` go
-    /// along, the less the farther they are. What hangs on another that is held goes with that, and is not
-    /// held itself; nor are those that hang on anything drawn along, nor pins. Nothing where none of them is
-    /// there. Lengths are of the model.
+    /// Takes the handles that were `chosen`, by their ids; other handles that are nearer to one of them
+    /// than `reach` go along, the less the farther they are. A chosen handle below another chosen one goes
+    /// with that, and is not held itself; of the others, pins and handles with a parent do not go along by
+    /// themselves. Nothing where none of the chosen ones is there. Lengths are of the model.
     pub fn new(all: &[(HandleDesc, PlacedHandle)], chosen: &BTreeSet<String>, reach: f64) -> Option<Self> {
         let is_chosen = |(desc, _): &(HandleDesc, PlacedHandle)| chosen.contains(desc.id.as_str());
         let places: Vec<DVec3> = all.iter().filter(|h| is_chosen(h)).map(|(_, h)| h.position()).collect();
@@ -59,19 +59,21 @@ impl GrabbedHandles {
         Some(Self { handles, pivot })
     }
 
-    /// The middle of those that are held.
+    /// Middle of the chosen handles.
     pub fn pivot(&self) -> DVec3 {
         self.pivot
     }
 
-    /// How they move where the hand does this from where it took them, about [the middle](Self::pivot) unless
-    /// the motion says otherwise. Nothing where it is no motion for one of them.
+    /// Motions of the handles where the hand moves so from where it took them, about [the
+    /// middle](Self::pivot) unless the motion says otherwise. Nothing where the result is no motion for one
+    /// of the handles.
     pub fn moved(&self, motion: &Motion) -> Option<Vec<HandleMove>> {
         let moved = |handle: &HeldHandle| {
             let map = part_of(motion, handle.weight).to_affine(self.pivot);
             let from = handle.placed.matrix();
             let mut to = map * from;
-            // What a handle cannot do does not become of it: it goes where the others take it, as it is.
+            // A turn or scale that a handle does not allow is left out of its own motion: the handle goes
+            // where the others take it, as it is.
             let turned = motion_of(DAffine3 { translation: DVec3::ZERO, ..map }, DVec3::ZERO)?;
             let keeps_turn = !handle.can.contains(Gizmo::ROTATE);
             let keeps_size = !handle.can.contains(Gizmo::SCALE);
@@ -88,17 +90,17 @@ impl GrabbedHandles {
     }
 }
 
-/// What a handle hangs on, one after the other.
+/// Ancestors of a handle, one after the other.
 fn above(
     all: &[(HandleDesc, PlacedHandle)],
     from: usize,
 ) -> impl Iterator<Item = &(HandleDesc, PlacedHandle)> {
-    // Each hangs on one before it.
+    // Each handle's parent comes before it.
     let next = |at: usize| Some(all[at].0.parent as usize).filter(|parent| *parent < at);
     std::iter::successors(next(from), move |at| next(*at)).map(|at| &all[at])
 }
 
-/// 1 at the nearest of some places, 0 from `reach` on, smooth at both ends.
+/// Weight of a point: 1 at the nearest of some places, 0 from `reach` on, smooth at both ends.
 fn falloff(places: &[DVec3], p: DVec3, reach: f64) -> f64 {
     let nearest = places.iter().map(|place| place.distance(p)).fold(f64::INFINITY, f64::min);
     if nearest >= reach {
@@ -158,7 +160,7 @@ mod tests {
             assert!(to.iter().zip(expected).all(|(a, b)| a.abs_diff_eq(b, 1e-12)), "{to:?}");
             let turned = if can == Gizmo::TRANSLATE { 0.0 } else { 90.0 };
             assert!(moves.iter().all(|m| (m.motion.degrees - turned).abs() < 1e-9), "{moves:?}");
-            // From there they go on, as a hand takes them again.
+            // The handles go on from there, as a hand takes them again.
             let again =
                 GrabbedHandles::new(&with_places(&handles, &moves), &chosen(&["0", "2"]), 0.0).unwrap();
             let size = Motion { scale: 2.0, ..Motion::default() };

@@ -1,12 +1,12 @@
-//! simod-viewer: what a window needs to edit a model, without the window.
+//! simod-viewer: the parts of an editor for models that need no window.
 //!
 //! ```text
 //! window ──Command──▶ State::apply ──steps──▶ Engine (its thread) ──Event──▶ State::poll ──▶ Scene, to be drawn
 //! ```
 //!
 //! The state changes through [`Command`]s alone, so a whole edit can be recorded and replayed without a
-//! window; and what comes back from the thread that does the steps only says where the samples are now. No
-//! file that this crate writes differs from what `simod run` makes of the saved session.
+//! window; and the events of the thread that does the steps only give the samples' positions. No file that
+//! this crate writes differs from the one that `simod run` makes of the saved session.
 
 mod appended;
 pub mod body;

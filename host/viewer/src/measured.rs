@@ -1,22 +1,22 @@
-//! Points that lengths and angles are measured between. They are kept as they are at rest, and go where the
-//! steps take the surface around them.
+//! Points between which lengths and angles are measured. The points are kept at rest, and go along with the
+//! surface around them.
 
 use crate::gradients::around;
 use crate::pick::Hit;
 use crate::scene::ViewerScene;
 use glam::{DMat3, DVec3, Mat3};
 
-/// Neighbours of the nearest sample that say where a point goes.
+/// Number of neighbours of the nearest sample by which a point is carried.
 const RING: usize = 8;
-/// Steps to the point that is carried to another one.
+/// Greatest number of Newton steps to the point that is carried to another one.
 const MOST_STEPS: usize = 12;
 
-/// A point of the surface that is measured from and to, model coordinates.
+/// Point of the surface between which and others is measured, in model coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredPoint {
     /// The place before all steps.
     pub rest: DVec3,
-    /// The place after them.
+    /// The place after all steps.
     pub now: DVec3,
 }
 
@@ -25,7 +25,7 @@ pub struct MeasuredPoint {
 pub struct Measure {
     /// The number after the steps.
     pub now: f64,
-    /// The number before them.
+    /// Number before the steps.
     pub rest: f64,
 }
 
@@ -34,7 +34,7 @@ impl Measure {
         Self { now: of(&|point| point.now), rest: of(&|point| point.rest) }
     }
 
-    /// Whether the steps have changed it, by more than rounding.
+    /// Whether the steps have changed the measure by more than rounding.
     pub fn is_changed(&self) -> bool {
         (self.now - self.rest).abs() > 1e-5 * self.now.abs().max(self.rest.abs())
     }
@@ -49,24 +49,24 @@ pub fn distance(a: &MeasuredPoint, b: &MeasuredPoint) -> Measure {
 pub fn angle(a: &MeasuredPoint, b: &MeasuredPoint, c: &MeasuredPoint) -> Measure {
     Measure::compute(|at| {
         let (u, v) = (at(a) - at(b), at(c) - at(b));
-        // Exact for small angles, too, as the cosine alone is not.
+        // The angle by its tangent is exact for small angles, too, where the cosine alone is not.
         f64::atan2(u.cross(v).length(), u.dot(v)).to_degrees()
     })
 }
 
-/// The linear map of the surface around a sample, with its normal.
+/// Linear map of the surface around a sample, and along its normal.
 fn map(scene: &ViewerScene, sample: usize) -> DMat3 {
     let normal = scene.sampled.samples.normals()[sample];
     let Some(along) = around(scene, sample) else { return DMat3::IDENTITY };
-    // Along the normal, which the neighbours tell nothing of, it turns as the normal does.
+    // The neighbours do not determine the map along the normal: there it turns as the normal does.
     let change = scene.normals()[sample] - along * normal;
     let across = Mat3::from_cols(change * normal.x, change * normal.y, change * normal.z);
     let map = (along + across).as_dmat3();
     if map.is_finite() && map.determinant().abs() > 1e-6 { map } else { DMat3::IDENTITY }
 }
 
-/// Where a point goes, local coordinates: the mean of where the samples around it say, which count the less
-/// the farther they are; and the linear map of the nearest one.
+/// Deformed position of a point, in local coordinates: the mean of the positions by the samples around it,
+/// which count the less the farther they are; and the linear map of the nearest sample.
 fn carry(scene: &ViewerScene, rest: DVec3) -> (DVec3, DMat3) {
     let samples = &scene.sampled.samples;
     let nearest = samples.nearest(rest.as_vec3()) as usize;
@@ -78,7 +78,7 @@ fn carry(scene: &ViewerScene, rest: DVec3) -> (DVec3, DMat3) {
     let (mut sum, mut to) = (0.0, DVec3::ZERO);
     for i in all() {
         let share = 1.0 - way(i).length_squared() / reach;
-        // The nearest one counts, also where there is no other.
+        // The nearest sample counts, also where there is no other.
         let weight = if reach > 0.0 { share * share } else { 0.0 } + if i == nearest { 1e-9 } else { 0.0 };
         let displacement = scene.positions[i].as_dvec3() - samples.positions[i].as_dvec3();
         to += weight * (displacement + map(scene, i) * way(i) - way(i));
@@ -87,8 +87,8 @@ fn carry(scene: &ViewerScene, rest: DVec3) -> (DVec3, DMat3) {
     (rest + to / sum, map(scene, nearest))
 }
 
-/// Where a point that is seen was before all steps, model coordinates: the point that is [carried](carry) to
-/// it, by Newton steps from what its own sample says.
+/// Place before all steps of a point that is seen, in model coordinates: the point that is [carried](carry)
+/// to the seen one, by Newton steps from the place by its own sample.
 pub(crate) fn at_rest(scene: &ViewerScene, hit: &Hit) -> DVec3 {
     let sample = hit.sample as usize;
     let way = hit.local - scene.positions[sample].as_dvec3();
@@ -108,7 +108,7 @@ pub(crate) fn at_rest(scene: &ViewerScene, hit: &Hit) -> DVec3 {
     scene.frame().to_model_exact(best.1)
 }
 
-/// The point with where the steps take it.
+/// Point at rest with its place after the steps.
 pub(crate) fn carried(scene: &ViewerScene, rest: DVec3) -> MeasuredPoint {
     let (to, _) = carry(scene, scene.frame().to_local_exact(rest));
     MeasuredPoint { rest, now: scene.frame().to_model_exact(to) }
@@ -130,7 +130,7 @@ mod tests {
         assert!((corner.rest - 90.0).abs() < 1e-12 && (corner.now - 45.0).abs() < 1e-12);
         assert!(corner.is_changed() && !distance(&b, &b).is_changed());
         assert_eq!(angle(&b, &b, &c).rest, 0.0);
-        // Nearly straight on.
+        // The three points lie nearly on a line.
         let near = point([1e9, 1e-3, 0.0], [0.0; 3]);
         assert!((angle(&near, &b, &a).rest.to_radians() * 1e12 - 1.0).abs() < 1e-9);
     }

@@ -7,17 +7,17 @@ use simod_plugin_api::HandleDesc;
 use simod_session::Motion;
 use simod_session::step::HandleMove;
 
-/// Where the gizmo of a handle region is: it is moved, turned and scaled as the region is, and begins at this
-/// pivot, whatever the motion's own is. Model coordinates.
+/// Gizmo of a handle region, in model coordinates: moved, turned and scaled as the region is, from this
+/// pivot, whatever the motion's own pivot is.
 pub fn handle_matrix(motion: &Motion, pivot: DVec3) -> DAffine3 {
     let map = motion.to_affine(DVec3::ZERO);
     DAffine3 { matrix3: map.matrix3, translation: map.transform_point3(pivot) }
 }
 
-/// The motion of a handle whose gizmo was at the pivot, unturned and of size 1, and is there now. Scales
-/// along axes become their mean: a motion scales all ways alike.
+/// Motion of a handle whose gizmo was at the pivot, unturned and of size 1, and has this matrix now. Scales
+/// along axes become their mean: a motion scales all directions alike.
 ///
-/// Nothing where the matrix is no motion: it mirrors, flattens, or has numbers that are not finite.
+/// Nothing where the matrix is no motion: the matrix mirrors, flattens, or has numbers that are not finite.
 pub fn motion_of(matrix: DAffine3, pivot: DVec3) -> Option<Motion> {
     let determinant = matrix.matrix3.determinant();
     if !(determinant.is_normal() && determinant > 0.0 && matrix.translation.is_finite()) {
@@ -26,7 +26,7 @@ pub fn motion_of(matrix: DAffine3, pivot: DVec3) -> Option<Motion> {
     let scale = determinant.cbrt();
     let turn = DQuat::from_mat3(&orthonormal(matrix.matrix3)?).normalize();
     let (axis, angle) = turn.to_axis_angle();
-    // Not more than half a turn, as a person would say it.
+    // The turn is at most half a turn, as a person would say it.
     let (axis, angle) =
         if angle > std::f64::consts::PI { (-axis, std::f64::consts::TAU - angle) } else { (axis, angle) };
     let still = angle.abs() < 1e-12;
@@ -41,15 +41,15 @@ pub fn motion_of(matrix: DAffine3, pivot: DVec3) -> Option<Motion> {
     motion.defect().is_none().then_some(motion)
 }
 
-/// The axes, made of length 1 and at right angles.
+/// The axes of a matrix, made of length 1 and at right angles.
 fn orthonormal(m: DMat3) -> Option<DMat3> {
     let x = m.x_axis.try_normalize()?;
     let z = x.cross(m.y_axis).try_normalize()?;
     Some(DMat3::from_cols(x, z.cross(x), z))
 }
 
-/// Where the handles that a plugin placed are: each moved by its own motion, and by those of what it hangs
-/// on. Model coordinates; in the plugin's order.
+/// Places of the handles that a plugin placed, in model coordinates and the plugin's order: each is moved
+/// by its own motion, and by those of its ancestors.
 pub fn placed_handles(handles: &[HandleDesc], moves: &[HandleMove], frame: &Frame) -> Vec<PlacedHandle> {
     let mut placed: Vec<PlacedHandle> = Vec::with_capacity(handles.len());
     for handle in handles {
@@ -66,9 +66,9 @@ pub fn placed_handles(handles: &[HandleDesc], moves: &[HandleMove], frame: &Fram
 pub struct PlacedHandle {
     /// The handle's place at rest.
     pub rest: DVec3,
-    /// The map of all that it hangs on.
+    /// Map of the handle's ancestors.
     pub parent: DAffine3,
-    /// From the rest pose to where it is.
+    /// Map from the rest pose to the present one.
     pub map: DAffine3,
 }
 
@@ -78,15 +78,15 @@ impl PlacedHandle {
         self.map.transform_point3(self.rest)
     }
 
-    /// The handle's gizmo: where it is, and how it is turned.
+    /// Matrix of the handle's gizmo: its place and orientation.
     pub fn matrix(&self) -> DAffine3 {
         DAffine3 { matrix3: self.map.matrix3, translation: self.position() }
     }
 
-    /// The handle's own motion, if its gizmo is there now; see [`motion_of`].
+    /// The handle's own motion, if its gizmo has this matrix now; see [`motion_of`].
     pub fn motion_to(&self, matrix: DAffine3) -> Option<Motion> {
         let motion = motion_of(self.parent.inverse() * matrix, self.rest)?;
-        // About where it is at rest, which is what a session says unless it says otherwise.
+        // The pivot is the place at rest, as in a session that names none.
         Some(Motion { pivot: None, ..motion })
     }
 }
@@ -155,7 +155,7 @@ mod tests {
         let moves = [HandleMove { id: "arm".into(), motion: turn }];
         let placed = placed_handles(&handles, &moves, &frame);
         assert!(placed[1].position().abs_diff_eq(DVec3::new(0.0, 3.0, 0.0), 1e-12));
-        // The hand is dragged to where it was: its own motion takes the arm's back.
+        // The hand is dragged back to its former place: its own motion undoes the arm's.
         let back = DAffine3 { translation: DVec3::new(2.0, 1.0, 0.0), ..placed[1].matrix() };
         let motion = placed[1].motion_to(back).unwrap();
         let moves = [moves[0].clone(), HandleMove { id: "hand".into(), motion }];

@@ -18,7 +18,7 @@ pub struct Modifiers {
     pub alt: bool,
 }
 
-/// What the camera does while the pointer is dragged.
+/// Move of the camera while the pointer is dragged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(missing_docs, reason = "they say it")]
 pub enum Drag {
@@ -32,7 +32,7 @@ pub enum Drag {
 pub struct Navigation {
     /// The name that the user reads.
     pub name: &'static str,
-    /// Whether a tool that moves what is selected begins as soon as it is taken, without a click.
+    /// Whether a tool that moves the selection begins as soon as it is taken, without a click.
     pub begins_at_once: bool,
     bindings: [(Button, Modifiers, Drag); 3],
 }
@@ -65,12 +65,12 @@ impl Navigation {
         },
     ];
 
-    /// The drags that move the camera: the button, the keys that are held, and what it does.
+    /// Drags that move the camera: the button, the keys that are held, and the camera's move.
     pub fn bindings(&self) -> &[(Button, Modifiers, Drag)] {
         &self.bindings
     }
 
-    /// What a drag with these does, if it is the camera's.
+    /// Camera's move by a drag with this button and these keys, if the preset has one.
     pub fn drag(&self, button: Button, modifiers: Modifiers) -> Option<Drag> {
         self.bindings.iter().find(|b| (b.0, b.1) == (button, modifiers)).map(|b| b.2)
     }

@@ -11,7 +11,7 @@ use simod_core::reconstruction::principal_stretches;
 pub use simod_picture::{class_color, class_name, scale_color};
 use simod_session::{RegionShape, Shapes};
 
-/// What is shown on the surface.
+/// Numbers or colours that are shown on the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Overlay {
@@ -22,32 +22,34 @@ pub enum Overlay {
     Selection,
     /// The weight of a region of the chosen step: 0 to 1.
     Region(usize),
-    /// How far samples have moved, in the model's unit.
+    /// Distance by which samples have moved, in the model's unit.
     Displacement,
     /// The largest factor by which lengths have changed, or its inverse if that is larger: from 1.
     Stretch,
     /// Mean distance to the nearest samples at rest, in the model's unit.
     Density,
-    /// The error that the model is expected to have between the samples, in the model's unit. It takes a
-    /// while, so it is there when the steps were done with it, and not while something is dragged.
+    /// The error that the model is expected to have between the samples, in the model's unit. The error
+    /// takes a while to compute, so the overlay is shown when the steps were done with it, and not while
+    /// something is dragged.
     TransferError,
-    /// How far samples are from where they are in the pinned version, in the model's unit. Samples that only
-    /// one of both has, as refinements appended them, are compared with where the other one's reconstruction
-    /// carries them. Until that is known, and in the pinned version, they take the mean of their neighbours.
+    /// Distance of samples from their positions in the pinned version, in the model's unit. Samples that
+    /// only one version has, as refinements appended them, are compared with the positions to which the
+    /// other version's reconstruction carries them. Until these are known, and in the pinned version, such
+    /// samples take the mean of their neighbours.
     Difference,
-    /// The attribute of the vertices at this place in the [model's list](crate::State::attributes), in its
-    /// own unit: of a sample, the mean over its vertices. The model is read for it once.
+    /// Attribute of the vertices at this place in the [model's list](crate::State::attributes), in its own
+    /// unit: of a sample, the mean over its vertices. The model is read once for the attribute.
     Attribute(usize),
 }
 
-/// Numbers, one for each sample, and what the ends of the scale stand for.
+/// Numbers, one for each sample, with their scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScalarField {
     /// The numbers; none is not finite.
     pub values: Vec<f32>,
-    /// From the scale's first colour to its last.
+    /// Numbers of the scale's first colour and of its last.
     pub range: [f32; 2],
-    /// The numbers are classes of points, each of a colour of its own.
+    /// Whether the numbers are classes of points, each of a colour of its own.
     pub are_classes: bool,
 }
 
@@ -70,7 +72,7 @@ impl OverlayScale {
 }
 
 impl ScalarField {
-    /// Numbers with a range that most of them are in: a few of the largest are beyond it.
+    /// Numbers with a range that holds most of them: a few of the largest are beyond it.
     fn ranged(values: Vec<f32>, from: f32) -> Self {
         let values: Vec<f32> = values.into_iter().map(|x| if x.is_finite() { x } else { from }).collect();
         let mut sorted = values.clone();
@@ -92,7 +94,7 @@ impl ScalarField {
         self.scale().color(self.values[sample])
     }
 
-    /// What its numbers look like.
+    /// Scale of the numbers' colours.
     pub fn scale(&self) -> OverlayScale {
         OverlayScale { range: self.range, are_classes: self.are_classes }
     }
@@ -103,16 +105,16 @@ pub fn selection(selection: &Selection) -> ScalarField {
     ScalarField::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
-/// The weight of shapes on what a step began with, local positions; samples that it did not know yet belong
-/// to what is around them.
+/// Weight of shapes on the positions with which a step began, in local coordinates; samples that the step
+/// does not know belong to the known ones around them.
 pub fn region(scene: &ViewerScene, before: &[Vec3], shapes: &Shapes) -> ScalarField {
     let frame = scene.frame();
     let StepSamples { positions, owners } = as_found(scene, before);
     let weight = |p: &Vec3| shapes.weight(frame.to_model(*p)) as f32;
     let mut values: Vec<f32> = positions.par_iter().take(scene.len()).map(weight).collect();
     values.resize(scene.len(), 0.0);
-    // The border of what a hand picked is halfway between samples, along the surface: what lies behind a thin
-    // wall tells nothing.
+    // The border of a selection by hand is halfway between samples, along the surface: samples behind a
+    // thin wall do not matter.
     let is_picked = |shape: &RegionShape| matches!(shape, RegionShape::Selection(_));
     if let Some(owners) = owners.filter(|_| shapes.shapes.iter().all(is_picked)) {
         for i in before.len()..scene.len() {
@@ -125,9 +127,9 @@ pub fn region(scene: &ViewerScene, before: &[Vec3], shapes: &Shapes) -> ScalarFi
     ScalarField::weights(values)
 }
 
-/// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene,
-/// local positions; otherwise only those that both have are compared, and the rest take the mean of their
-/// neighbours.
+/// Distances of samples in two versions. `carried` has the other version's positions for all samples of the
+/// scene, in local coordinates; without it only samples of both versions are compared, and the rest take
+/// the mean of their neighbours.
 pub fn difference(scene: &ViewerScene, other: &ViewerScene, carried: Option<&[Vec3]>) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let to = carried.unwrap_or(&other.positions);
@@ -138,8 +140,8 @@ pub fn difference(scene: &ViewerScene, other: &ViewerScene, carried: Option<&[Ve
     ScalarField::ranged(values, 0.0)
 }
 
-/// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these
-/// outwards.
+/// Gives numbers to the samples behind those that have one: the mean of the neighbours that have one, from
+/// these outwards.
 fn spread(values: &mut Vec<f32>, scene: &ViewerScene) {
     let known = values.len();
     values.resize(scene.len(), f32::NAN);
@@ -156,21 +158,21 @@ fn spread(values: &mut Vec<f32>, scene: &ViewerScene) {
         let before = pending.len();
         found.into_iter().for_each(|(i, x)| values[i] = x);
         pending.retain(|i| values[*i].is_nan());
-        // Parts of the surface that hang together with nothing that is known.
+        // Parts of the surface that are connected with no known sample.
         if pending.len() == before {
             break;
         }
     }
 }
 
-/// How far samples have moved.
+/// Distances by which samples have moved.
 pub fn displacement(scene: &ViewerScene) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let pairs = scene.positions.par_iter().zip(&scene.sampled.samples.positions);
     ScalarField::ranged(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
 }
 
-/// How much the surface is stretched or squeezed.
+/// Factors by which the surface is stretched or squeezed.
 pub fn stretch(scene: &ViewerScene) -> ScalarField {
     scene.sampled.samples.prepare();
     let normals = scene.sampled.samples.normals();
@@ -182,7 +184,7 @@ pub fn stretch(scene: &ViewerScene) -> ScalarField {
     ScalarField::ranged((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
-/// How far samples are apart at rest.
+/// Distances between samples at rest.
 pub fn density(scene: &ViewerScene) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let values: Vec<f32> = scene.sampled.samples.spacing().iter().map(|s| s * scale).collect();
@@ -197,8 +199,8 @@ pub fn transfer_error(scene: &ViewerScene) -> Option<ScalarField> {
     Some(ScalarField::ranged(expected.iter().map(|e| e * scale).collect(), 0.0))
 }
 
-/// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a
-/// number. The range is that of most of them.
+/// An attribute of the vertices, as a number of each sample; nothing where it is not known yet, or no
+/// sample has a number. The range holds most of the numbers.
 pub fn attribute(scene: &ViewerScene, place: usize) -> Option<ScalarField> {
     let attribute = scene.sampled.source.attributes.get(place)?;
     let values = scene.sampled.held_attributes()?.get(&attribute.name)?.to_vec();

@@ -1,5 +1,5 @@
-//! What can be seen from the camera: a small depth buffer of splats, drawn on the processor, one sample after
-//! the other, so that it is the same everywhere.
+//! Visibility from the camera: a small depth buffer of splats, drawn on the processor, one sample after the
+//! other, so that the result is the same everywhere.
 
 use crate::camera::{Camera, Projection, Ray};
 use crate::clip::cuts;
@@ -7,21 +7,21 @@ use crate::scene::ViewerScene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Pixels of the buffer along its longer side, at most.
+/// Greatest number of pixels of the buffer along its longer side.
 const LONGEST: f64 = 1024.0;
 
-/// Neighbours that tell how far a sample's disc has to reach.
+/// Number of neighbours that decide on the radius of a sample's disc.
 const RING: usize = 6;
 
 /// A disc's radius, in mean distances to the neighbours: enough that no gap is left between discs.
 const REACH: f32 = 1.0;
 
-/// Pixels that a disc covers at least, from its middle.
+/// Least number of pixels, from its middle, that a disc covers.
 const LEAST_REACH: f64 = 0.75;
 
-/// How far behind the nearest surface a sample may lie and still be seen, in radii of its disc: those that
-/// face the camera, and those that do not, which are the far side of something if anything at all lies before
-/// them.
+/// Depth behind the nearest surface to which a sample still counts as seen, in radii of its disc: for
+/// samples that face the camera, and for those that do not, which are on the far side of something if
+/// anything at all lies before them.
 const BEHIND: [f64; 2] = [1.0, 0.25];
 
 /// No sample.
@@ -43,9 +43,9 @@ pub struct Hit {
 /// The sample that is seen in each pixel.
 pub struct DepthBuffer {
     camera: Camera,
-    /// The picture's size, in pixels of the window, and those of the buffer.
+    /// The picture's size, in pixels of the window, and of the buffer.
     size: [f64; 2],
-    /// What lies beyond this plane is not there: unit normal and distance, local coordinates.
+    /// Plane beyond which nothing is drawn: unit normal and distance, in local coordinates.
     clip: Option<(DVec3, f64)>,
     lens: PixelMap,
     width: usize,
@@ -55,11 +55,11 @@ pub struct DepthBuffer {
     radii: Vec<f32>,
 }
 
-/// A sample's disc before the camera. Vectors are the eye's: to the right, upwards, and depth.
+/// Sample's disc before the camera. Vectors are the eye's: to the right, upwards, and depth.
 struct Disc {
     pixel: DVec2,
     radius: f64,
-    /// In pixels of the buffer.
+    /// Radius in pixels of the buffer.
     reach: f64,
     normal: DVec3,
     center: DVec3,
@@ -107,7 +107,7 @@ impl PixelMap {
         pixel.is_finite().then_some(Disc { pixel, radius, reach, normal, center, faces })
     }
 
-    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own
+    /// Depth of a disc at a pixel that the disc covers. A disc that is seen edge-on still covers its own
     /// pixel.
     fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
         let (ray, n, c) = (self.ray(pixel), disc.normal, disc.center);
@@ -125,8 +125,8 @@ impl PixelMap {
 }
 
 impl DepthBuffer {
-    /// Depths of the samples as a picture of so many pixels shows them, but those beyond a plane (unit normal
-    /// and distance, local coordinates).
+    /// Depths of the samples in a picture of so many pixels, without the samples beyond a plane (unit
+    /// normal and distance, local coordinates).
     pub fn new(scene: &ViewerScene, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> Self {
         let shrink = (LONGEST / size[0].max(size[1]).max(1.0)).min(1.0);
         let pixels = |length: f64| ((length * shrink).ceil() as usize).max(1);
@@ -150,12 +150,12 @@ impl DepthBuffer {
         this
     }
 
-    /// Whether it is of this camera, size and plane.
+    /// Whether the buffer is of this camera, size and plane.
     pub fn is_of(&self, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> bool {
         self.camera == *camera && self.size == size && self.clip == clip
     }
 
-    /// What is seen of a sample; nothing where it is cut away, or behind the eye.
+    /// Disc of a sample before the camera; nothing where the sample is cut away, or behind the eye.
     fn disc(&self, scene: &ViewerScene, i: usize) -> Option<Disc> {
         if cuts(self.clip, scene.positions[i]) {
             return None;
@@ -193,7 +193,8 @@ impl DepthBuffer {
         (0..scene.len()).into_par_iter().map(is_seen).collect()
     }
 
-    /// Whether each sample is seen, or its disc is, though its middle may be outside of the picture.
+    /// Whether each sample is visible, or is the nearest one in a pixel, though its middle may be outside
+    /// of the picture.
     pub fn seen(&self, scene: &ViewerScene) -> Vec<bool> {
         let mut seen = self.visible(scene);
         let nearest = self.nearest.iter().map(|(_, sample)| *sample);
@@ -214,7 +215,7 @@ impl DepthBuffer {
         Some(self.hit(scene, pixel, sample))
     }
 
-    /// Behind the point under a pixel, where the body ends that begins there: at the nearest surface that
+    /// Point behind that under a pixel, where the body ends that begins there: on the nearest surface that
     /// looks away. Nothing where there is none, as in an open scan.
     pub fn pick_far_side(&self, scene: &ViewerScene, pixel: DVec2) -> Option<Hit> {
         let at = self.shrunk(pixel);
@@ -226,7 +227,7 @@ impl DepthBuffer {
             (depth > from).then_some((depth, i as u32))
         };
         let all = (0..scene.len()).into_par_iter().filter_map(behind);
-        // Of equal ones the first, whatever the threads.
+        // Of samples at one depth the first is taken, whatever the threads.
         let (_, sample) = all.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
         Some(self.hit(scene, pixel, sample))
     }
@@ -243,20 +244,20 @@ impl DepthBuffer {
     }
 }
 
-/// Where a ray meets a plane.
+/// Intersection of a ray and a plane; nothing where the ray runs along the plane.
 fn plane(ray: &Ray, point: DVec3, normal: DVec3) -> Option<DVec3> {
     let facing = normal.dot(ray.direction);
     let t = (point - ray.origin).dot(normal) / facing;
     (facing.abs() > 1e-3 && t.is_finite()).then(|| ray.origin + ray.direction * t)
 }
 
-/// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the
-/// samples around (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
+/// Intersection of a ray and the surface near a sample: first with the sample's own plane, then with the
+/// mean one of the samples around (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
 fn surface(scene: &ViewerScene, ray: &Ray, sample: u32, radius: f64) -> Hit {
     let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals()[i as usize].as_dvec3());
     let (center, own) = of(sample);
     let near = |p: DVec3| p.distance(center) <= 2.0 * radius;
-    // Seen edge-on, what is nearest on the ray.
+    // On a plane that is seen edge-on, the ray's nearest point to the sample is taken.
     let foot = ray.origin + ray.direction * (center - ray.origin).dot(ray.direction);
     let (mut p, mut n) = (plane(ray, center, own).filter(|p| near(*p)).unwrap_or(foot), own);
     let around = scene.sampled.samples.neighbours().nearest_to(sample as usize);
@@ -265,7 +266,7 @@ fn surface(scene: &ViewerScene, ray: &Ray, sample: u32, radius: f64) -> Hit {
         for i in std::iter::once(&sample).chain(around) {
             let (q, m) = of(*i);
             let t = (p.distance(q) / (2.0 * radius).max(f64::MIN_POSITIVE)).min(1.0);
-            // Other sheets that are near have other normals.
+            // Samples of other sheets nearby have other normals.
             let weight = (1.0 - t * t * (3.0 - 2.0 * t)) * m.dot(own).max(0.0);
             (sum, point, normal) = (sum + weight, point + weight * q, normal + weight * m);
         }
@@ -279,7 +280,7 @@ fn surface(scene: &ViewerScene, ray: &Ray, sample: u32, radius: f64) -> Hit {
     Hit { sample, local: p, at: scene.frame().to_model_exact(p), normal: n }
 }
 
-/// Samples whose pixels are so; those behind the camera are not.
+/// Samples whose pixels fulfil a condition; samples behind the camera do not.
 pub fn within(
     scene: &ViewerScene,
     camera: &Camera,
@@ -290,7 +291,7 @@ pub fn within(
     scene.positions.par_iter().map(test).collect()
 }
 
-/// Whether a pixel is as near to a line through pixels as this.
+/// Whether a pixel is within a radius of a line through pixels.
 pub fn near_path(path: &[[f64; 2]], radius: f64, pixel: DVec2) -> bool {
     let to_segment = |a: DVec2, b: DVec2| {
         let way = b - a;
@@ -305,7 +306,7 @@ pub fn near_path(path: &[[f64; 2]], radius: f64, pixel: DVec2) -> bool {
     }
 }
 
-/// Whether a pixel is inside a closed line through pixels: one that is gone round an odd number of times.
+/// Whether a pixel is inside a closed line through pixels: the line goes round it an odd number of times.
 pub fn in_lasso(path: &[[f64; 2]], pixel: DVec2) -> bool {
     let mut inside = false;
     for (i, b) in path.iter().enumerate() {

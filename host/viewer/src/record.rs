@@ -4,12 +4,12 @@ use crate::command::Command;
 use simod_model::{Error, Result};
 use std::io::Write;
 
-/// Writes commands down as they are done. Whatever was shown when they were: what depends on where samples
-/// were just then is written as what it came to.
+/// Recorder that writes commands down as they are done. A command that depends on the samples' positions
+/// just then is written as one with the same effect anywhere.
 pub struct Recorder(Box<dyn Write + Send>);
 
 impl Recorder {
-    /// Writes to this, a line at a time.
+    /// Recorder that writes to `to`, a line at a time.
     pub fn new(to: impl Write + Send + 'static) -> Self {
         Self(Box::new(to))
     }
@@ -31,7 +31,7 @@ impl Recorder {
 /// The commands of a recording.
 ///
 /// # Errors
-/// A line is no command; it is named.
+/// A line is no command; the error names the line.
 pub fn parse(text: &str) -> Result<Vec<Command>> {
     let command = |(i, line): (usize, &str)| {
         serde_json::from_str(line).map_err(|e| {

@@ -7,13 +7,13 @@ use simod_session::PluginRegistry;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long a single command may take before a replay gives up.
+/// Longest time of a single command before a replay gives up.
 const PATIENCE: Duration = Duration::from_secs(24 * 3600);
 
-/// Does commands one after the other, waiting each time until all that they ask for is done.
+/// Does commands one after the other, and waits each time until all that a command asks for is done.
 ///
 /// # Errors
-/// A command cannot be done; it is named.
+/// A command cannot be done; the error names the command.
 pub fn replay(commands: &[Command], plugins: &Arc<PluginRegistry>) -> Result<State> {
     let mut state = State::new(plugins.clone(), Arc::new(|| ()));
     for (i, command) in commands.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The scene that is shown: the samples, where the steps have moved them, and the handles that plugins
+//! The scene that is shown: the samples, their positions after the steps, and the handles that plugins
 //! placed.
 
 use crate::shading::{EllipseAxes, Rings, Shading};
@@ -20,30 +20,30 @@ pub struct ViewerScene {
     pub sampled: Arc<SampledModel>,
     /// The samples' positions.
     pub positions: Arc<[Vec3]>,
-    /// How each step fared, in their order.
+    /// Outcome of each step, in their order.
     pub statuses: Vec<(StepId, Status)>,
-    /// What each step began with: see [`Evaluated::before`].
+    /// Positions with which each step began: see [`Evaluated::before`].
     pub before: Vec<Arc<[Vec3]>>,
     /// The handles that the steps' plugins placed, at rest.
     pub handles: HashMap<StepId, Arc<OwnHandles>>,
-    /// Where steps with joints put the handles of their plugins: see [`Evaluated::posed`].
+    /// Posed handles of the plugins of steps with joints: see [`Evaluated::posed`].
     pub posed: Vec<(StepId, Arc<[DVec3]>)>,
-    /// What it was worth: a draft may differ a little from the result.
+    /// Effort of the evaluation: a draft may differ a little from the result.
     pub effort: Effort,
     /// The transfer error to be expected around each sample, local units, if it was asked for.
     pub expected_error: Option<Vec<f32>>,
-    /// Counts up with every scene that is shown.
+    /// Number of the scene, which counts up with every scene that is shown.
     pub revision: u64,
-    /// How the surface lies there, once it is found.
+    /// Normals and stretches of the surface, once they are computed.
     shading: OnceLock<Shading>,
     bounds: OnceLock<[Vec3; 2]>,
-    /// Whether somebody has asked for that of all samples of a draft.
+    /// Whether somebody has asked for the shading of all samples of a draft.
     asked: Arc<AtomicBool>,
 }
 
 impl ViewerScene {
-    /// The scene of samples that the steps have moved. Of a draft, how the surface lies is found where
-    /// somebody asks: most of its samples may not be drawn; unless it was `asked` for all of the draft
+    /// Scene of samples that the steps have moved. The shading of a draft is computed when somebody asks,
+    /// as most of its samples may not be drawn; unless the shading of all was `asked` for in the draft
     /// before.
     pub(crate) fn new(
         evaluated: Evaluated,
@@ -78,12 +78,12 @@ impl ViewerScene {
         }
     }
 
-    /// Whether the result may differ a little from it.
+    /// Whether the scene is a draft, from which the result may differ a little.
     pub fn is_draft(&self) -> bool {
         self.effort == Effort::DRAFT
     }
 
-    /// How the surface lies at all samples.
+    /// Normals and stretches of the surface at all samples.
     pub fn shading(&self) -> &Shading {
         if self.is_draft() {
             self.asked.store(true, Ordering::Relaxed);
@@ -91,8 +91,8 @@ impl ViewerScene {
         self.shading.get_or_init(|| Shading::new(&self.sampled, &self.positions))
     }
 
-    /// How it lies at some of the samples, in their order. What the rest shape says of these is kept from one
-    /// time to the next.
+    /// Normals and stretches at some of the samples, in their order. The part of the computation that
+    /// depends on the rest shape is `kept` from one call to the next.
     pub fn shading_of(&self, some: &Arc<[u32]>, kept: &mut Option<Rings>) -> Shading {
         if let Some(all) = self.shading.get() {
             return all.taken(some);
@@ -100,17 +100,17 @@ impl ViewerScene {
         Rings::keep(kept, &self.sampled, some).shading(&self.positions)
     }
 
-    /// Unit normals where the samples are.
+    /// Unit normals at the samples' positions.
     pub fn normals(&self) -> &Arc<[Vec3]> {
         &self.shading().normals
     }
 
-    /// What a circle of radius 1 around each sample at rest becomes: see [`Shading::axes`].
+    /// Ellipses that circles of radius 1 around the samples at rest become: see [`Shading::axes`].
     pub fn axes(&self) -> &Arc<[EllipseAxes]> {
         &self.shading().axes
     }
 
-    /// This scene with the error to be expected, which takes as long as preparing to write.
+    /// The same scene with the error to be expected, whose computation takes as long as preparing to write.
     pub(crate) fn measured(self) -> Self {
         let still = *self.positions == *self.sampled.samples.positions;
         let expected = if still {
@@ -127,7 +127,7 @@ impl ViewerScene {
         self.positions.len()
     }
 
-    /// Never: a model has at least one sample.
+    /// Whether there are no samples: never, as a model has at least one.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -137,7 +137,7 @@ impl ViewerScene {
         self.sampled.frame
     }
 
-    /// Smallest and largest local coordinates of the samples as they are.
+    /// Smallest and largest local coordinates of the samples' present positions.
     pub fn bounds(&self) -> [Vec3; 2] {
         let start = [Vec3::INFINITY, Vec3::NEG_INFINITY];
         let found = || self.positions.iter().fold(start, |[min, max], p| [min.min(*p), max.max(*p)]);
@@ -145,7 +145,7 @@ impl ViewerScene {
     }
 }
 
-/// How many of the first samples are the same in two samplings of a model: all but those that refinements
+/// Number of first samples that are the same in two samplings of a model: all but those that refinements
 /// appended to one of both.
 pub fn common(a: &SampledModel, b: &SampledModel) -> usize {
     let (p, q) = (&a.samples.positions, &b.samples.positions);

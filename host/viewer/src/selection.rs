@@ -6,7 +6,7 @@ use simod_core::sampled_model::SampledModel;
 /// Neighbours of a sample that no triangle joins to others.
 const RING: usize = 6;
 
-/// How what was pointed at changes the selection.
+/// Effect on the selection of the samples that are pointed at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Combine {
@@ -27,12 +27,12 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// No sample of so many.
+    /// Empty selection of so many samples.
     pub fn none(samples: usize) -> Self {
         Self { marks: vec![false; samples], count: 0 }
     }
 
-    /// The samples that are marked.
+    /// Selection of the samples that are marked.
     pub fn from_marks(marks: Vec<bool>) -> Self {
         let count = marks.iter().filter(|m| **m).count();
         Self { marks, count }
@@ -53,7 +53,7 @@ impl Selection {
         self.count
     }
 
-    /// Whether none is.
+    /// Whether no sample is selected.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
@@ -63,7 +63,7 @@ impl Selection {
         self.marks.iter().enumerate().filter(|(_, m)| **m).map(|(i, _)| i as u32)
     }
 
-    /// The selection after others were pointed at.
+    /// Selection after other samples were pointed at.
     #[must_use]
     pub fn combined(&self, others: &Self, how: Combine) -> Self {
         let both = |(a, b): (&bool, &bool)| match how {
@@ -80,13 +80,13 @@ impl Selection {
         Self::from_marks(self.marks.iter().map(|m| !m).collect())
     }
 
-    /// With all that are next to one that is selected.
+    /// The selection with all samples next to a selected one.
     #[must_use]
     pub fn grown(&self, adjacency: &Adjacency) -> Self {
         self.changed(|i| self.marks[i] || adjacency.neighbours(i).iter().any(|j| self.contains(*j)))
     }
 
-    /// Without those that are next to one that is not.
+    /// The selection without the samples next to one that is not selected.
     #[must_use]
     pub fn shrunk(&self, adjacency: &Adjacency) -> Self {
         self.changed(|i| self.marks[i] && adjacency.neighbours(i).iter().all(|j| self.contains(*j)))
@@ -96,15 +96,16 @@ impl Selection {
         Self::from_marks((0..self.marks.len()).map(is_selected).collect())
     }
 
-    /// For another sampling of the same model, of each of whose samples `former` says which one of this one
-    /// it is, if any, and `owners` to which of its own that are known it belongs.
+    /// The selection for another sampling of the same model: `former` says which sample of this sampling
+    /// each sample of the other one is, if any, and `owners` to which known sample of the other sampling
+    /// each belongs.
     #[must_use]
     pub fn carried(&self, former: &[Option<u32>], owners: &[u32]) -> Self {
         let of = |owner: &u32| former[*owner as usize].is_some_and(|i| self.contains(i));
         Self::from_marks(owners.iter().map(of).collect())
     }
 
-    /// As lengths of runs that are not selected and selected in turn: what a recording keeps.
+    /// The selection as lengths of runs that are not selected and selected in turn, as a recording has it.
     pub fn runs(&self) -> Vec<u32> {
         let mut runs = vec![0];
         let mut selected = false;
@@ -120,7 +121,7 @@ impl Selection {
         runs
     }
 
-    /// The selection by runs, for so many samples; what is missing is not selected.
+    /// Selection by runs, for so many samples; samples beyond the runs are not selected.
     pub fn from_runs(runs: &[u32], samples: usize) -> Self {
         let mut marks = Vec::with_capacity(samples);
         for (i, run) in runs.iter().enumerate() {
@@ -132,8 +133,8 @@ impl Selection {
     }
 }
 
-/// The samples next to each sample: those that triangles join to it, or else the nearest ones, whichever
-/// calls the other so.
+/// Samples next to each sample: those that triangles join to it, or else the nearest ones, in either
+/// direction.
 pub struct Adjacency {
     starts: Vec<u32>,
     lists: Vec<u32>,
@@ -178,12 +179,12 @@ impl Adjacency {
         self.starts.len() - 1
     }
 
-    /// Whether there are none.
+    /// Whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// All that can be reached from a sample.
+    /// All samples that can be reached from one.
     pub fn connected(&self, from: u32) -> Selection {
         let mut marks = vec![false; self.len()];
         let mut open = Vec::new();

@@ -1,4 +1,4 @@
-//! How the surface lies where the samples went: their normals, and what becomes of a circle around each.
+//! Shading of the deformed samples: their normals, and the ellipse that a circle around each becomes.
 //! Quick, and for the eye alone.
 
 use glam::{Vec3, Vec3A};
@@ -9,17 +9,17 @@ use simod_core::sampling::NeighbourGraph;
 use std::iter::repeat_n;
 use std::sync::Arc;
 
-/// Neighbours of a sample that its normal is turned with.
+/// Number of neighbours by which a sample's normal is turned.
 const RING: usize = 6;
-/// The least and most that discs are stretched ...
+/// Least and greatest stretch of a disc ...
 const STRETCHES: [f32; 2] = [0.3, 20.0];
-/// ... and how much longer than wide they get.
+/// ... and greatest ratio of its length to its width.
 const THINNEST: f32 = 8.0;
 
-/// Samples at a time: loops over as many are what compilers make vectors of. Nothing is fused, so that all
-/// vectors give the same bits.
+/// Number of samples side by side: compilers make vectors of loops over so many. Nothing is fused, so that
+/// all widths of vectors give the same bits.
 const LANES: usize = 16;
-/// As many of these at a time are done by a thread.
+/// Number of groups of samples that a thread computes at a time.
 const RINGS_TOGETHER: usize = 64;
 
 /// The axes of an ellipse: half of each, the longer one first, at right angles to each other.
@@ -30,8 +30,8 @@ pub type EllipseAxes = [Vec3; 2];
 pub struct Shading {
     /// Unit normals.
     pub normals: Arc<[Vec3]>,
-    /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has
-    /// moved.
+    /// Ellipse that a circle of radius 1 around each sample at rest becomes, in the tangent plane. Empty
+    /// where nothing has moved.
     pub axes: Arc<[EllipseAxes]>,
 }
 
@@ -59,10 +59,10 @@ impl Shading {
     }
 }
 
-/// What the rest shape says of how the surface lies at some samples: kept from picture to picture, as long as
-/// these samples are drawn.
+/// Part of the shading of some samples that follows from the rest shape alone: kept from picture to
+/// picture, as long as these samples are drawn.
 ///
-/// Memory: 101 bytes for each of them.
+/// Memory: 101 bytes for each sample.
 pub struct Rings {
     sampled: Arc<SampledModel>,
     some: Arc<[u32]>,
@@ -80,19 +80,19 @@ impl Rings {
         Self { rings: rings.collect(), sampled, some }
     }
 
-    /// The rings of these samples, kept from the last call where it was about the same ones.
+    /// Rings of these samples, kept from the last call where that was about the same samples.
     pub fn keep<'a>(kept: &'a mut Option<Self>, sampled: &Arc<SampledModel>, some: &Arc<[u32]>) -> &'a Self {
         kept.take_if(|rings| !rings.are_of(sampled, some));
         kept.get_or_insert_with(|| Self::new(sampled.clone(), some.clone()))
     }
 
-    /// Whether they are of these samples of this model.
+    /// Whether the rings are those of these samples of this model.
     fn are_of(&self, sampled: &Arc<SampledModel>, some: &Arc<[u32]>) -> bool {
         Arc::ptr_eq(&self.sampled, sampled) && (Arc::ptr_eq(&self.some, some) || self.some == *some)
     }
 
-    /// How the surface lies at these samples, in their order, once all samples have moved to these positions:
-    /// to the last digit as [`Shading::new`] has it.
+    /// Shading of these samples, in their order, once all samples have moved to these positions: the same
+    /// to the last digit as that of [`Shading::new`].
     pub fn shading(&self, positions: &[Vec3]) -> Shading {
         let (surface, arch) = (RestSurface::new(&self.sampled), Arch::new());
         if is_still(&self.sampled, positions) {
@@ -110,8 +110,9 @@ fn is_still(sampled: &SampledModel, positions: &[Vec3]) -> bool {
     *positions == *sampled.samples.positions
 }
 
-/// So many, as many at a time as there are lanes: by the number of their ring, and where they are written,
-/// which is where they stay: a million samples have 36 MB of them.
+/// Shading of `count` samples, made by `shade` for as many at a time as there are lanes: it gets the number
+/// of their group, and the places for the results. These are made in place, as a million samples have 36 MB
+/// of them.
 fn made(count: usize, shade: impl Fn(usize, &mut [Vec3], &mut [EllipseAxes]) + Sync) -> Shading {
     let mut normals: Arc<[Vec3]> = repeat_n(Vec3::ZERO, count).collect();
     let mut axes: Arc<[EllipseAxes]> = repeat_n([Vec3::ZERO; 2], count).collect();
@@ -139,11 +140,11 @@ impl<'a> RestSurface<'a> {
         &self.neighbours.nearest_to(i)[..RING.min(self.neighbours.k())]
     }
 
-    /// A sample's normal, turned as the triangles between it and its nearest neighbours are:
-    /// `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d`
-    /// those now. With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the
-    /// linear map that carries these ways over best. A [`LaneRing`] does the same of many at a time,
-    /// unless their neighbours lie on a line.
+    /// Normal of a sample, turned as the triangles between it and its nearest neighbours are: `Σ (r₁ × r₂ ·
+    /// n) d₁ × d₂` over pairs of neighbours, where `r` are the vectors to them at rest and `d` those now.
+    /// With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the linear map
+    /// that carries these vectors over best. A [`LaneRing`] does the same of many samples at a time, unless
+    /// their neighbours lie on a line.
     fn turned(&self, now: &[Vec3], i: usize) -> (Vec3, EllipseAxes) {
         let (rest, n) = (self.positions, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();
@@ -156,11 +157,12 @@ impl<'a> RestSurface<'a> {
             along_s += x * d;
             along_t += y * d;
             (ss, st, tt) = (ss + x * x, st + x * y, tt + y * y);
-            // What moves as one has no share in this, however the surface is curved.
+            // The sums are of displacements: a motion of all neighbours as one has no share in them,
+            // however the surface is curved.
             more_s += x * (d - r);
             more_t += y * (d - r);
         }
-        // Each of the size of a small length's square.
+        // Each tangent is scaled to unit size: its length may be that of a small length's square.
         let unit = |v: Vec3| v / v.abs().max_element();
         let normal = unit(along_s).cross(unit(along_t)).try_normalize().unwrap_or(n);
         let determinant = ss * tt - st * st;
@@ -173,16 +175,16 @@ impl<'a> RestSurface<'a> {
     }
 }
 
-/// Neighbours lie on a line where the determinant of their second moments is a smaller part of what it might
-/// be.
+/// Part of its greatest value below which the determinant of the neighbours' second moments counts as that
+/// of neighbours on a line.
 const FLATTEST: f32 = 1e-3;
 
 type ShadingLanes = [f32; LANES];
 type Lanes3 = [ShadingLanes; 3];
 
-/// How the surface lies at some samples, side by side.
+/// Shading of some samples, side by side.
 struct Lying {
-    /// The unit normal, and the square of how long it was before.
+    /// The unit normal, and the square of its former length.
     normal: Lanes3,
     square: ShadingLanes,
     /// The direction of the longer axis, and the lengths of both.
@@ -191,15 +193,16 @@ struct Lying {
     least: ShadingLanes,
 }
 
-/// What the rest shape says of some samples, side by side. What [`RestSurface::turned`] sums up is linear
-/// in the ways to the neighbours now; so what stands before these is known beforehand.
+/// Part of the shading of some samples that follows from the rest shape alone, side by side. The sums of
+/// [`RestSurface::turned`] are linear in the present vectors to the neighbours; so their coefficients are
+/// known beforehand.
 struct LaneRing {
-    /// The samples, and their neighbours; the sample itself where there are fewer.
+    /// The samples, and their neighbours; the sample itself in the place of neighbours that are missing.
     near: [[u32; 1 + RING]; LANES],
-    /// By how much the way to each neighbour counts in what becomes of either tangent ...
+    /// Coefficient of the vector to each neighbour in either deformed tangent ...
     shares: [[[f32; 2]; RING]; LANES],
-    /// ... and what of the tangents the ways at rest do not tell: what moves as one has no share in this,
-    /// however the surface is curved.
+    /// ... and the part of the tangents that the vectors at rest do not determine: a motion of all as one
+    /// has no share in it, however the surface is curved.
     left: [Lanes3; 2],
     /// Samples whose neighbours lie on a line, a bit for each.
     odd: u16,
@@ -229,7 +232,7 @@ impl LaneRing {
             *way = rest[near as usize] - rest[i];
             self.near[lane][1 + j] = near;
         }
-        // In their own unit, so that no square is too small.
+        // Vectors are divided by the largest of their coordinates, so that no square is too small.
         let size = ways.iter().fold(0.0_f32, |size, way| size.max(way.abs().max_element()));
         let (mut flat, [mut ss, mut st, mut tt]) = ([[0.0; 2]; RING], [0.0; 3]);
         for ([x, y], way) in flat.iter_mut().zip(&ways) {
@@ -237,7 +240,7 @@ impl LaneRing {
             (ss, st, tt) = (ss + *x * *x, st + *x * *y, tt + *y * *y);
         }
         let determinant = ss * tt - st * st;
-        // Nor where any of it is not a number.
+        // Samples are odd, too, where one of the numbers is not a number.
         if !(determinant > FLATTEST * ss * tt && size.is_normal()) {
             self.odd |= 1 << lane;
             return;
@@ -256,7 +259,7 @@ impl LaneRing {
         }
     }
 
-    /// How the surface lies at these samples, as far as they are wanted; `alone` finds that of one, by its
+    /// Shading of these samples, as far as they are wanted; `alone` computes that of one sample, by its
     /// lane.
     fn shade(
         &self,
@@ -269,7 +272,7 @@ impl LaneRing {
         let at = |lanes: &Lanes3, i: usize| Vec3::new(lanes[0][i], lanes[1][i], lanes[2][i]);
         for (i, (out, ellipse)) in normals.iter_mut().zip(axes).enumerate() {
             let (n, along) = (at(&normal, i), at(&along, i));
-            // Not where it is flattened to a line, or to a point.
+            // A surface that is flattened to a line, or to a point, is left to `alone`.
             let is_sound = square[i].is_normal() && along.is_finite() && (most[i] + least[i]).is_finite();
             (*out, *ellipse) = if is_sound && self.odd & 1 << i == 0 {
                 (n, [most[i] * along, least[i] * n.cross(along)])
@@ -297,7 +300,7 @@ impl LaneRing {
         Lying { normal, square, along, most, least }
     }
 
-    /// What the ways to the neighbours make of the tangents.
+    /// Deformed tangents, from the present vectors to the neighbours.
     #[inline(always)]
     fn tangents(&self, now: &[Vec3]) -> [Lanes3; 2] {
         let mut tangents = [[[0.0; LANES]; 3]; 2];
@@ -335,8 +338,8 @@ impl LaneRing {
     }
 }
 
-/// The longer axis' direction, and the lengths of both: as [`ellipse`] has it, of radii in the plane of the
-/// normal.
+/// Direction of the longer axis, and the lengths of both axes, computed as [`ellipse`] does, of radii in
+/// the plane of the normal.
 #[inline(always)]
 fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [ShadingLanes; 2]) {
     let (mut along, mut lengths) = ([[0.0; LANES]; 3], [[0.0; LANES]; 2]);
@@ -358,8 +361,8 @@ fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [ShadingLanes; 2]) {
     (along, lengths)
 }
 
-/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right
-/// angles; in the plane of a normal, and within bounds that can be drawn.
+/// Half axes of the ellipse that a circle of radius 1 becomes, from the images of two of its radii at right
+/// angles by a linear map; in the plane of a normal, and within bounds that can be drawn.
 fn ellipse(radii: [Vec3; 2], normal: Vec3) -> EllipseAxes {
     let [u, v] = radii.map(|radius| radius - radius.dot(normal) * normal);
     let (uu, uv, vv) = (u.dot(u), u.dot(v), v.dot(v));
@@ -375,12 +378,12 @@ fn ellipse(radii: [Vec3; 2], normal: Vec3) -> EllipseAxes {
     [most * along, least * normal.cross(along)]
 }
 
-/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one
-/// for each sample in each picture, and arc tangents take long.
+/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side. There is
+/// one for each sample in each picture, and arc tangents take long.
 #[inline(always)]
 fn half_angle(y: f32, x: f32) -> (f32, f32) {
     let far = (y * y + x * x).sqrt();
-    // Where nothing cancels out.
+    // The larger of sine and cosine comes first, by a sum in which nothing cancels out.
     let large = if far > 0.0 { (0.5 * (1.0 + x.abs() / far)).sqrt() } else { 1.0 };
     let small = if far > 0.0 { 0.5 * y.abs() / (far * large) } else { 0.0 };
     let (sin, cos) = if x >= 0.0 { (small, large) } else { (large, small) };
@@ -406,13 +409,14 @@ mod tests {
         assert_eq!(half_angle(0.0, 0.0), (0.0, 1.0));
     }
 
-    /// Many at a time are as each by itself, whatever the neighbours are, and in whatever list they stand.
+    /// Many samples at a time have the shading of each by itself, whatever the neighbours are, and in
+    /// whatever list they stand.
     #[test]
     fn many_at_a_time_lie_as_each_does() {
         let on = |i: u32| {
             let (y, x) = (0.13 * i as f32).sin_cos();
             match i % 50 {
-                // Some lie on a line, and some at one place.
+                // Some samples lie on a line, and some at one place.
                 49 => Vec3::new(3.0, 1e-3 * i as f32, 0.0),
                 48 => Vec3::splat(-4.0),
                 _ => Vec3::new(x, y, 0.004 * i as f32),
@@ -438,14 +442,14 @@ mod tests {
             let (normal, [long, short]) = surface.turned(&now, i);
             let (n, axes) = (all.normals[i], all.axes[i]);
             assert!((n.length() - 1.0).abs() < 1e-5 && axes.iter().all(|axis| axis.is_finite()), "{i}");
-            // Rounding tells how what is nearly flat lies.
+            // The shading of nearly flattened samples is decided by rounding.
             if surface.ring(i).iter().chain(&[i as u32]).any(|j| flat.contains(&(*j as usize))) {
                 continue;
             }
             assert!(close(n, normal), "{i}: {n} {normal}");
             let lengths = |[a, b]: [Vec3; 2]| Vec3::new(a.length(), b.length(), 0.0);
             assert!(close(lengths(axes), lengths([long, short])), "{i}: {axes:?} {long} {short}");
-            // Where both axes are of one length, any direction is as good.
+            // Axes of one length may have any direction.
             let is_round = long.length() < 1.05 * short.length();
             assert!(is_round || axes[0].dot(long).abs() > 0.999 * long.length_squared(), "{i}");
         }
@@ -472,7 +476,7 @@ mod tests {
                 + (p.dot(short) / short.length_squared()).powi(2);
             assert!((on - 1.0).abs() < 1e-4, "{on}");
         }
-        // However much it is stretched, it can be drawn.
+        // An ellipse can be drawn however much it is stretched.
         let [long, short] = ellipse([1e6 * Vec3::X, 1e-6 * Vec3::Y], Vec3::Z);
         assert!(long.length() <= STRETCHES[1] * 1.001 && short.length() >= long.length() / THINNEST * 0.999);
         assert!(ellipse([Vec3::NAN; 2], Vec3::Z).iter().all(|axis| (axis.length() - 1.0).abs() < 1e-5));

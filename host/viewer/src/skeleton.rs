@@ -1,8 +1,7 @@
 //! Skeletons of the user's: joints mirrored from one side of the body to the other, chains of them, and pins.
 //!
-//! A pin is a joint that hangs on nothing, that nothing hangs on, and that nobody moves: what is around it
-//! stays. As long as a skeleton is that of a limb alone, pins in the middle of the body keep that from
-//! turning along.
+//! A pin is a joint without a parent and without children, which nobody moves: the body around it stays. As
+//! long as a skeleton is that of a limb alone, pins in the middle of the body keep that from turning along.
 
 use crate::body::Ball;
 use glam::DVec3;
@@ -11,10 +10,10 @@ use simod_session::step::Joint;
 /// The words by which sides are told in names, in pairs.
 const SIDES: [[&str; 2]; 4] = [["left", "right"], ["Left", "Right"], [".L", ".R"], ["_l", "_r"]];
 
-/// What ids of pins begin with.
+/// Beginning of the ids of pins.
 const PIN: &str = "pin-";
 
-/// What ids of pins begin with that hold the body.
+/// Beginning of the ids of pins that hold the body.
 const BODY: &str = "pin-body-";
 
 /// Whether a joint of this id is a pin.
@@ -22,15 +21,15 @@ pub fn is_pin(id: &str) -> bool {
     id.starts_with(PIN)
 }
 
-/// An id of a joint, or of a pin, that none has.
+/// Id of a joint, or of a pin, that no joint has.
 pub fn free_id(joints: &[Joint], pin: bool) -> String {
     let word = if pin { PIN } else { "joint-" };
     let is_free = |id: &String| joints.iter().all(|joint| joint.id != *id);
     (1..).map(|i| format!("{word}{i}")).find(is_free).unwrap_or_default()
 }
 
-/// The joints with a pin in the middle of each ball of the body, if none of their bones is in any; without,
-/// if any is, or there are no joints besides.
+/// Joints with a pin in the middle of each ball of the body, if no bone is in any ball; without such pins,
+/// if a bone is, or there are no joints besides.
 pub fn with_body_held(mut joints: Vec<Joint>, body: &[Ball]) -> Vec<Joint> {
     joints.retain(|joint| !joint.id.starts_with(BODY));
     let place = |id: &String| joints.iter().find(|joint| joint.id == *id).map(|joint| joint.at);
@@ -47,11 +46,11 @@ pub fn with_body_held(mut joints: Vec<Joint>, body: &[Ball]) -> Vec<Joint> {
     joints
 }
 
-/// The name on the other side: `left-hand` of `right-hand`; with a word of its own where none tells the side.
+/// Name on the other side: `left-hand` of `right-hand`; with a word added where no word tells the side.
 pub fn mirrored_name(name: &str) -> String {
     for [a, b] in SIDES {
         for (from, to) in [(a, b), (b, a)] {
-            // Short ones tell a side at the end alone.
+            // Short words tell a side at the end of a name alone.
             let at = if from.len() > 2 { name.find(from) } else { name.strip_suffix(from).map(str::len) };
             if let Some(at) = at {
                 return format!("{}{to}{}", &name[..at], &name[at + from.len()..]);
@@ -64,10 +63,10 @@ pub fn mirrored_name(name: &str) -> String {
     }
 }
 
-/// The joints with those of one side on the other one as well, across the plane where the coordinate `axis`
-/// is `middle`; those nearer to it than `near` lie in the middle, and have no other. A side is mirrored where
-/// a joint of its own name is not on the other one yet; where joints are on both, those of the first named
-/// are what the others become.
+/// Joints with those of one side on the other one as well, across the plane where the coordinate `axis` is
+/// `middle`; joints nearer to the plane than `near` lie in the middle, and have no counterpart. A
+/// counterpart is added where no joint has the mirrored name; where one has, the joint of the two that comes
+/// first in the list gives the other one its place.
 pub fn mirrored(joints: &[Joint], axis: usize, middle: f64, near: f64) -> Vec<Joint> {
     let is_aside = |joint: &Joint| (joint.at[axis] - middle).abs() > near;
     let mut all = joints.to_vec();
@@ -91,8 +90,8 @@ pub fn mirrored(joints: &[Joint], axis: usize, middle: f64, near: f64) -> Vec<Jo
     all
 }
 
-/// So many joints that hang on each other, with names that are free, the first on `parent`; behind those that
-/// are there.
+/// Adds a chain of joints at these places, with names that are free, the first on `parent`, behind the
+/// joints that are there.
 pub fn chained(joints: &[Joint], places: &[DVec3], parent: Option<String>) -> Vec<Joint> {
     let mut all = joints.to_vec();
     let mut parent = parent;
@@ -133,7 +132,7 @@ mod tests {
         assert_eq!(both[..3], one);
         assert_eq!(both[3], joint("right-arm", [0.0, 1.0, 0.5], Some("spine")));
         assert_eq!(both[4], joint("right-hand", [-1.0, 1.0, 0.5], Some("right-arm")));
-        // Once more changes nothing; a side that was moved since takes the other along.
+        // A second mirroring changes nothing; a side that was moved since takes the other along.
         assert_eq!(mirrored(&both, 0, 1.0, 0.01), both);
         let mut moved = both.clone();
         moved[2].at.y = 7.0;
@@ -152,10 +151,10 @@ mod tests {
         assert_eq!(held[3..], [joint("pin-body-2", [0.0, 1.5, 0.0], None)]);
         assert_eq!(with_body_held(held.clone(), &body), held);
         assert_eq!(mirrored(&held, 0, 7.0, 0.1).iter().filter(|joint| is_pin(&joint.id)).count(), 2);
-        // A bone through it, with no joint in it.
+        // A bone through the body, with no joint in it.
         let across = [held, vec![joint("joint-3", [-3.0, 0.2, 0.0], Some("joint-1"))]].concat();
         assert!(with_body_held(across, &body).iter().all(|joint| !is_pin(&joint.id)));
-        // Pins alone are nothing that could turn it.
+        // Pins alone cannot turn the body.
         let pin = vec![joint(&free_id(&[], true), [3.0, 0.0, 0.0], None)];
         assert_eq!(with_body_held(pin.clone(), &body), pin);
         assert_eq!(free_id(&arm, false), "joint-3");

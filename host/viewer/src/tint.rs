@@ -3,7 +3,7 @@
 /// The source of the colours of vertices that are shown in full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Tint {
-    /// The samples that they are at.
+    /// The samples to which the vertices belong.
     #[default]
     Samples,
     /// The vertices' own colours.

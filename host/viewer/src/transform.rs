@@ -1,5 +1,5 @@
-//! Motions as keys and the pointer say them: along an axis or with the picture, by the pointer or by a number
-//! that is typed.
+//! Motions by keys and the pointer: along an axis or with the picture, by the pointer or by a number that
+//! is typed.
 
 use crate::camera::Camera;
 use glam::{DVec2, DVec3};
@@ -8,17 +8,17 @@ use simod_session::Motion;
 /// The kind of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TransformKind {
-    /// Shifted.
+    /// A shift.
     Move,
-    /// Turned.
+    /// A turn.
     Turn,
-    /// Made larger or smaller.
+    /// A change of size.
     Scale,
 }
 
 /// Most characters that are typed.
 const LONGEST: usize = 24;
-/// Nearer to the middle than this, in pixels, the pointer tells no angle and no size.
+/// Distance from the middle, in pixels, below which the pointer gives no angle and no size.
 const LEAST: f64 = 4.0;
 /// Steps of a turn in degrees, of a size, and of a shift as a part of local coordinates' unit.
 const STEPS: [f64; 3] = [15.0, 0.1, 0.05];
@@ -27,16 +27,16 @@ const STEPS: [f64; 3] = [15.0, 0.1, 0.05];
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transform {
     kind: TransformKind,
-    /// The middle about which it is, local coordinates.
+    /// Middle of the motion, in local coordinates.
     pivot: DVec3,
-    /// The model's unit in local coordinates' one.
+    /// Length of local coordinates' unit in the model's.
     unit: f64,
-    /// 0 for x; none with the picture.
+    /// Axis of the motion, 0 for x; none if the motion goes with the picture.
     axis: Option<usize>,
     typed: String,
     from: DVec2,
     at: DVec2,
-    /// How far the pointer went round the middle, radians, as seen.
+    /// Angle that the pointer went round the middle, in radians, as seen.
     turned: f64,
 }
 
@@ -50,7 +50,8 @@ pub struct ScreenView<'a> {
 }
 
 impl Transform {
-    /// Begins where the pointer is. `pivot` is in local coordinates, of which one is `unit` of the model's.
+    /// Begins a motion at the pointer's pixel. `pivot` is in local coordinates, of which one is `unit` of
+    /// the model's.
     pub fn new(kind: TransformKind, pivot: DVec3, unit: f64, pointer: DVec2) -> Self {
         Self { kind, pivot, unit, axis: None, typed: String::new(), from: pointer, at: pointer, turned: 0.0 }
     }
@@ -60,18 +61,18 @@ impl Transform {
         self.kind
     }
 
-    /// The axis along or about which it is, 0 for x, if one was said.
+    /// Axis along or about which the motion is, 0 for x, if one was chosen.
     pub fn axis(&self) -> Option<usize> {
         self.axis
     }
 
-    /// Along or about this axis from now on; about none if it was this one.
+    /// Chooses the axis along or about which the motion is from now on; none if it was this one.
     pub fn toggle_axis(&mut self, axis: usize) {
         self.axis = Some(axis).filter(|_| self.axis != Some(axis));
     }
 
-    /// A character of a number. Minus changes its sign, wherever it is typed; others than digits and a point
-    /// are nothing.
+    /// Adds a character to the typed number. Minus changes the number's sign, wherever it is typed; other
+    /// characters than digits and a point have no effect.
     pub fn type_in(&mut self, character: char) {
         match character {
             '-' => match self.typed.strip_prefix('-') {
@@ -89,12 +90,12 @@ impl Transform {
         self.typed.pop();
     }
 
-    /// What was typed so far.
+    /// Text that was typed so far.
     pub fn typed(&self) -> &str {
         &self.typed
     }
 
-    /// The pointer goes on to a pixel.
+    /// Takes the pointer's next pixel.
     pub fn follow(&mut self, pixel: DVec2, seen: ScreenView<'_>) {
         if let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) {
             let (a, b) = (self.at - middle, pixel - middle);
@@ -106,8 +107,8 @@ impl Transform {
         self.at = pixel;
     }
 
-    /// The motion as it is now, of the model; in steps where these are wanted and nothing is typed. Nothing
-    /// where what is typed is no number yet, or none that makes sense.
+    /// Present motion, of the model; in steps where these are wanted and nothing is typed. Nothing where
+    /// the text is no number yet, or none that makes sense.
     pub fn motion(&self, seen: ScreenView<'_>, in_steps: bool) -> Option<Motion> {
         let typed = match self.typed.as_str() {
             "" => None,
@@ -126,7 +127,7 @@ impl Transform {
             TransformKind::Turn => {
                 let back = seen.camera.axes()[2];
                 let axis = self.axis.map_or(back, |axis| AXES[axis]);
-                // What points away turns the other way round, as seen.
+                // A turn about an axis that points away has the opposite sign, as seen.
                 let sign = if axis.dot(back) < 0.0 { -1.0 } else { 1.0 };
                 let degrees = typed.unwrap_or_else(|| sign * step(self.turned.to_degrees(), STEPS[0]));
                 Motion { axis, degrees, ..Motion::default() }
@@ -139,7 +140,7 @@ impl Transform {
         motion.defect().is_none().then_some(motion)
     }
 
-    /// How far the pointer went with the picture, at the middle's depth.
+    /// Shift of the pointer with the picture, at the middle's depth.
     fn across(&self, seen: ScreenView<'_>) -> DVec3 {
         let Some((_, depth)) = seen.camera.project(self.pivot, seen.size) else { return DVec3::ZERO };
         let [right, up, _] = seen.camera.axes();
@@ -147,9 +148,9 @@ impl Transform {
         right * by.x - up * by.y
     }
 
-    /// How far it went along an axis through the middle.
+    /// Shift of the pointer along an axis through the middle.
     fn along(&self, axis: DVec3, seen: ScreenView<'_>) -> f64 {
-        // Where the middle is seen, and where it goes with the pointer.
+        // The ray goes through the middle's pixel, moved along with the pointer.
         let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) else { return 0.0 };
         let ray = seen.camera.ray(middle + self.at - self.from, seen.size);
         // The nearest point of the axis to the ray.
@@ -162,7 +163,7 @@ impl Transform {
         (slope * ray.direction.dot(from) - axis.dot(from)) / apart
     }
 
-    /// How far the pointer is from the middle, to how far it was.
+    /// Ratio of the pointer's distance from the middle to its distance at the beginning.
     fn size(&self, seen: ScreenView<'_>) -> f64 {
         let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) else { return 1.0 };
         (self.at.distance(middle) / self.from.distance(middle).max(LEAST)).max(0.01)
@@ -197,7 +198,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is moved stays under the pointer.
+        /// The moved point stays under the pointer.
         #[test]
         fn it_follows_the_pointer(
             camera in cameras(),
@@ -215,7 +216,8 @@ mod tests {
             prop_assert!((after - before).distance(by) < 1e-6, "{before} {after} {by}");
         }
 
-        /// Along an axis, too, as far as that is seen from the side.
+        /// The moved point stays under the pointer along an axis, too, as far as the axis is seen from the
+        /// side.
         #[test]
         fn it_follows_along_an_axis(camera in cameras(), pivot in pivots(), axis in 0..3_usize, far in -0.5..0.5_f64) {
             let seen = ScreenView { camera: &camera, size: SIZE };

@@ -1,4 +1,4 @@
-//! All that has a name: one table for the menus, the keys, and the palette.
+//! Table of all actions that have a name, for the menus, the keys and the palette.
 
 use crate::dialogs::Purpose;
 use crate::settings::{Lighting, Theme};
@@ -13,14 +13,14 @@ use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Command, Overlay, Previewed};
 
-/// Where an action is found.
+/// Menu in which an action is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Menu {
     File,
     Edit,
     Select,
     View,
-    /// Within that of the view.
+    /// Submenu of the view's menu.
     Light,
     Compare,
     Overlay,
@@ -32,19 +32,19 @@ pub enum Menu {
 pub struct NamedAction {
     /// The name that the user reads.
     pub name: &'static str,
-    /// The menu that it is found in.
+    /// Menu in which the action is found.
     pub menu: Menu,
-    /// Keys that do it; the first ones are shown.
+    /// Keys that do the action; the first ones are shown.
     pub keys: &'static [(Modifiers, Key)],
-    /// Whether it can be done now.
+    /// Whether the action can be done now.
     pub can: fn(&Window) -> bool,
-    /// Whether it is on, for what can be on.
+    /// State of an action that can be on or off; nothing for the others.
     pub is_on: Option<fn(&Window) -> bool>,
-    /// Commands for it.
+    /// Commands that do the action.
     pub run: fn(&Window, &mut Commands),
-    /// Whether a line is drawn before it in its menu.
+    /// Whether the menu has a line before the action.
     pub begins: bool,
-    /// Whether the models and sessions that were opened last follow it in its menu.
+    /// Whether the models and sessions that were opened last follow the action in its menu.
     pub precedes_recent: bool,
 }
 
@@ -98,7 +98,7 @@ impl NamedAction {
         self.keys.first().map_or_else(String::new, |keys| text(ctx, keys))
     }
 
-    /// All its keys, as the user reads them.
+    /// All keys of the action, as the user reads them.
     pub fn all_keys_text(&self, ctx: &egui::Context) -> String {
         self.keys.iter().map(|keys| text(ctx, keys)).collect::<Vec<_>>().join(", ")
     }
@@ -153,7 +153,7 @@ fn is_deformation(w: &Window) -> bool {
     w.chosen().is_some()
 }
 
-/// All of them, in the order of their menus.
+/// All actions, in the order of their menus.
 pub const ALL: &[NamedAction] = &[
     action(Menu::File, "Open\u{2026}", &[(CTRL, Key::O)], always, |_, c| c.then(|w| w.ask(Purpose::Open))),
     action(Menu::File, "Open Sampled Folder\u{2026}", &[], always, |_, c| {
@@ -431,7 +431,8 @@ const fn tool(
     action(Menu::Tool, tool.name(), keys, can, run).on(is_on)
 }
 
-/// Takes a tool that moves what is in the hand, and begins with it where the navigation says so.
+/// Takes a tool that moves the handles in the hand, and begins the motion where the navigation preset says
+/// so.
 fn begin(w: &Window, commands: &mut Commands, tool: Tool) {
     pick(commands, tool);
     let at_once = w.settings.navigation().begins_at_once;
@@ -443,7 +444,7 @@ fn pick(commands: &mut Commands, tool: Tool) {
     commands.then(move |w| w.tools.take(tool));
 }
 
-/// Does what the keys say that were just pressed.
+/// Does the actions of the keys that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
     if ctx.egui_wants_keyboard_input() || window.is_asking() || window.tools.gesture.transforming.is_some() {
@@ -460,10 +461,10 @@ pub fn keys(window: &mut Window) {
     }
 }
 
-/// Copies and pastes where the system says so: it keeps the keys for it to itself.
+/// Copies and pastes where the system says so: the system keeps the keys for that to itself.
 fn clipboard(window: &Window, commands: &mut Commands) {
     let ctx = window.ctx().clone();
-    // What is selected of a label is what is meant first.
+    // A text that is selected in a label is meant first.
     let selects_text = ctx.plugin::<LabelSelectionState>().lock().has_selection();
     let is_of_it = |event: &Event| match event {
         Event::Copy => !selects_text,
@@ -479,8 +480,8 @@ fn clipboard(window: &Window, commands: &mut Commands) {
     }
 }
 
-/// Whether a key was pressed just with these; then nobody else takes it. What is held now does not matter: in
-/// a slow picture it may be other keys already.
+/// Whether a key was pressed with these modifiers and no others; then nobody else takes the press. The
+/// modifiers that are held now do not matter: in a slow picture these may be others already.
 fn take_key(ctx: &egui::Context, (with, key): &(Modifiers, Key)) -> bool {
     let is_it = |event: &Event| match event {
         Event::Key { key: k, pressed: true, modifiers, .. } if k == key => {

@@ -11,7 +11,7 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The program: its window, and what runs beside that.
+/// The program: its window, and the viewport that draws the model.
 pub struct App {
     window: Window,
     viewport: Viewport,
@@ -21,7 +21,7 @@ pub struct App {
 }
 
 impl App {
-    /// With a picture where there is something to draw with.
+    /// Makes the program, with a picture where there is something to draw with.
     pub fn new(cc: &eframe::CreationContext<'_>, window: Window) -> Self {
         let lost = Arc::new(AtomicBool::new(false));
         if let Some(render) = &cc.wgpu_render_state {
@@ -87,12 +87,12 @@ impl eframe::App for App {
     }
 
     fn on_exit(&mut self) {
-        // What was saved, or is not wanted, is kept no more.
+        // An edit that was saved, or is not wanted, is kept no more.
         self.window.keep();
         self.window.keep_settings();
         let slowest = self.window.state().slowest();
         if slowest.felt > 0 {
-            // Where nobody reads it, it need not be told.
+            // A failure to write is no matter: without a reader of the standard error, nobody need be told.
             let _ = writeln!(std::io::stderr(), "{slowest}");
         }
     }

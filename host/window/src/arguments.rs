@@ -10,33 +10,37 @@ use std::path::PathBuf;
 #[derive(Parser)]
 #[command(name = "simod-viewer", version, max_term_width = 100)]
 pub struct WindowArguments {
-    /// A model, the folder of a sampled one, or a session (session.toml)
+    /// Model, folder of a sampled model, or session (session.toml)
     pub path: Option<PathBuf>,
-    /// About how many samples to take of a model
+    /// Number of samples to take of a model, approximately
     #[arg(long, value_name = "N")]
     pub samples: Option<u64>,
-    /// Write all that is done to a file, one command a line
+    /// File to write all commands to, one a line
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// Do what was recorded
+    /// File of recorded commands to do
     #[arg(long, value_name = "FILE", conflicts_with = "path")]
     pub replay: Option<PathBuf>,
-    /// Do it without a window
+    /// Do the recorded commands without a window
     #[arg(long, requires = "replay")]
     pub no_window: bool,
-    /// Draw what there is after that to a PNG file, and end
+    /// PNG file to draw the scene to, without a window
+    ///
+    /// The scene is that after the recorded commands. The program ends then.
     #[arg(long, value_name = "PNG")]
     pub screenshot: Option<PathBuf>,
-    /// Width and height of what is drawn, in pixels
+    /// Width and height of the picture, or of the turntable's frames, in pixels
     #[arg(long, value_name = "WxH", default_value = "1600x1000", value_parser = size)]
     pub size: [u32; 2],
-    /// Draw it before a background that is seen through
+    /// Leave the background transparent
     #[arg(long)]
     pub transparent: bool,
-    /// Draw frames of a full turn of it into a folder, and end
+    /// Folder to draw the frames of a full turn of the scene to, without a window
+    ///
+    /// The program ends then.
     #[arg(long, value_name = "DIR")]
     pub turntable: Option<PathBuf>,
-    /// How many frames
+    /// Number of frames of the turntable
     #[arg(long, value_name = "N", default_value_t = FRAMES, requires = "turntable",
         value_parser = clap::value_parser!(u32).range(1..=i64::from(FrameFolder::MOST)))]
     pub frames: u32,

@@ -9,18 +9,18 @@ use simod_viewer::command::CameraMove;
 
 /// The ids of the planes' places.
 pub const PLANES: [&str; 2] = ["from", "to"];
-/// How far from the picture's edge a knob has to be, so that hands find it: pixels.
+/// Least distance of a knob from the picture's edge, in pixels, so that hands find the knob.
 const MARGIN: f64 = 22.0;
 
 /// The axis along which a step works, with the planes between which it does, in local coordinates.
 ///
-/// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`,
-/// numbers in the model's diagonal, signed, along the axis from that point.
+/// A plugin works along an axis if it has these parameters: `center`, a point; `axis`, a direction; and
+/// `from` and `to`, numbers in the model's diagonal, signed, along the axis from that point.
 pub struct Axis {
     /// The step's place.
     pub step: usize,
     center: DVec3,
-    /// Where the axis points, of length 1.
+    /// Direction of the axis, of length 1.
     pub direction: DVec3,
     /// Places of the planes, along the axis.
     pub places: [f64; 2],
@@ -60,12 +60,12 @@ impl Axis {
         self.places.map(|place| self.point(place))
     }
 
-    /// A point of it.
+    /// Point of the axis at a place, in local coordinates.
     pub fn point(&self, place: f64) -> DVec3 {
         self.center + self.direction * place
     }
 
-    /// The place along it that is nearest to what is under a pixel.
+    /// Place along the axis that is nearest to what is under a pixel.
     pub fn place_under(&self, window: &Window, pixel: DVec2) -> Option<f64> {
         let ray = window.state().camera().ray(pixel, window.state().size());
         let between = self.center - ray.origin;
@@ -76,8 +76,8 @@ impl Axis {
     }
 }
 
-/// What is seen of the samples and of the axis along which the chosen step works, between two corners; local
-/// coordinates.
+/// Box around the samples and, if handles are shown, the knobs of the chosen step's axis: its two corners, in
+/// local coordinates.
 fn bounds(window: &Window) -> Option<[DVec3; 2]> {
     let shown = window.state().scene()?.bounds().map(|corner| corner.as_dvec3());
     let knobs = Axis::find(window).filter(|_| window.looks.handles).map(|axis| axis.knobs());

@@ -20,12 +20,12 @@ pub fn across(window: &Window, normal: DVec3) -> Option<Clip> {
     let [min, max] = scene.bounds();
     let middle = scene.frame().to_model(0.5 * (min + max));
     let normal = normal.normalize_or(DVec3::X);
-    // In the middle of what it can cut.
+    // The plane is in the middle of its range.
     let through = middle + normal * (0.5 * (from + to) - normal.dot(middle));
     Some(Clip { normal, through })
 }
 
-/// From where to where a plane of this normal meets the model's box, along the normal, in the model's unit.
+/// Range in which a plane of this normal meets the model's box, along the normal, in the model's unit.
 pub fn reach(window: &Window, normal: DVec3) -> Option<[f64; 2]> {
     let scene = window.state().scene()?;
     let corners = scene.bounds().map(|corner| scene.frame().to_model(corner));

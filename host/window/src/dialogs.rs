@@ -1,4 +1,4 @@
-//! Dialogs for files. Each waits on a thread of its own, as the window goes on.
+//! Dialogs for files. Each dialog waits on a thread of its own, as the window goes on.
 
 use rfd::FileDialog;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
-/// What a file is chosen for.
+/// Purpose for which a file is chosen.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Purpose {
     /// A model or a session to be opened.
@@ -16,7 +16,7 @@ pub enum Purpose {
     OpenFolder,
     /// A place for the session.
     Save,
-    /// Where the deformed model goes.
+    /// A place for the deformed model.
     Write,
     /// A session to compare with.
     Pin,
@@ -24,11 +24,12 @@ pub enum Purpose {
     Turntable,
     /// A place for a picture.
     Picture,
-    /// Where a model is that something remembers at another place.
+    /// The present place of a model that a session, or the folder of a sampled model, remembers at another
+    /// place.
     Locate {
-        /// What was to be opened.
+        /// Path of the session or folder that was to be opened.
         path: PathBuf,
-        /// The model's path as it is remembered.
+        /// Path of the model as the session or folder remembers it.
         model: PathBuf,
     },
     /// The value of a parameter of a step.
@@ -37,7 +38,7 @@ pub enum Purpose {
         step: usize,
         /// The parameter's id.
         id: String,
-        /// The extensions that its name may have; any if there is none.
+        /// Extensions that the file's name may have; any if there is none.
         extensions: Vec<String>,
     },
 }
@@ -58,12 +59,12 @@ impl Purpose {
         }
     }
 
-    /// Whether the path is of something that will be made.
+    /// Whether the chosen path is of a file or folder that will be made.
     pub fn makes(&self) -> bool {
         matches!(self, Self::Save | Self::Write | Self::Turntable | Self::Picture)
     }
 
-    /// Extensions of files that are of use; all are where there is none.
+    /// Extensions of the files that are of use for the purpose; all files are where the list is empty.
     pub fn extensions(&self) -> Vec<&str> {
         match self {
             Self::Open => simod_model::extensions().chain(["toml"]).collect(),
@@ -76,22 +77,22 @@ impl Purpose {
     }
 }
 
-/// What came of a dialog.
+/// Outcome of a dialog.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DialogAnswer {
-    /// The user chose this.
+    /// The path that the user chose.
     Chosen(PathBuf),
-    /// The user closed it.
+    /// The user closed the dialog.
     Closed,
-    /// The system has no dialogs; why.
+    /// The system has no dialogs, for this reason.
     Absent(String),
 }
 
-/// A function that shows a dialog: called on a thread of its own, with its purpose and where it begins. It
-/// asks [`DialogTurn::take`] right before the user sees it.
+/// Function that shows a dialog: called on a thread of its own, with the dialog's purpose and the path at
+/// which the dialog begins. The function asks [`DialogTurn::take`] right before the user sees the dialog.
 pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &DialogTurn) -> DialogAnswer + Send + Sync>;
 
-/// The side that may answer: the system's dialog, or the window, which went on without it.
+/// Side that may answer: the system's dialog, or the window, which went on without the dialog.
 #[derive(Default)]
 pub struct DialogTurn(AtomicU8);
 
@@ -99,25 +100,26 @@ const SHOWN: u8 = 1;
 const LEFT: u8 = 2;
 
 impl DialogTurn {
-    /// The dialog is shown now; `false` if the window went on without it, and it must not be.
+    /// Marks the dialog as shown; `false` if the window went on without the dialog, which must not be shown
+    /// then.
     pub fn take(&self) -> bool {
         self.0.compare_exchange(0, SHOWN, Ordering::Relaxed, Ordering::Relaxed).is_ok()
     }
 
-    /// The window goes on without it; `false` if it is shown already.
+    /// Marks that the window goes on without the dialog; `false` if the dialog is shown already.
     fn leave(&self) -> bool {
         self.0.compare_exchange(0, LEFT, Ordering::Relaxed, Ordering::Relaxed).is_ok()
     }
 }
 
-/// So long a system may take to say whether it has dialogs, before the window goes on with its own.
+/// Time that a system may take to say whether it has dialogs, before the window goes on with its own.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// A dialog that is open, or about to be.
 pub struct Dialog {
     /// The dialog's purpose.
     pub purpose: Purpose,
-    /// The path that it began with.
+    /// Path at which the dialog began.
     pub at: Option<PathBuf>,
     turn: Arc<DialogTurn>,
     since: Instant,
@@ -125,7 +127,7 @@ pub struct Dialog {
 }
 
 impl Dialog {
-    /// Opens it; it begins at this path. `wake` is called once there is an answer.
+    /// Opens a dialog that begins at this path. `wake` is called once there is an answer.
     pub fn open(
         chooser: Chooser,
         purpose: Purpose,
@@ -137,14 +139,15 @@ impl Dialog {
         let (what, begin, turns) = (purpose.clone(), at.clone(), turn.clone());
         std::thread::spawn(move || {
             let answer = chooser(&what, begin.as_deref(), &turns);
-            // Nobody waits any more once the window is closed, or went on without it.
+            // The answer has no receiver once the window is closed, or went on without the dialog.
             let _ = sender.send(answer);
             wake();
         });
         Self { purpose, at, turn, since: Instant::now(), answer }
     }
 
-    /// What came of it, once. A system that says nothing has no dialogs.
+    /// Outcome of the dialog, given once. A system that is silent for too long counts as one without
+    /// dialogs.
     pub fn answer(&self) -> Option<DialogAnswer> {
         match self.answer.try_recv() {
             Ok(answer) => Some(answer),
@@ -156,7 +159,7 @@ impl Dialog {
         }
     }
 
-    /// When to look for an answer again, if nothing wakes the window before.
+    /// Time until an answer has to be looked for again, if nothing wakes the window before.
     pub fn patience(&self) -> Duration {
         PATIENCE.saturating_sub(self.since.elapsed()) + Duration::from_millis(10)
     }
@@ -175,19 +178,19 @@ pub fn system() -> Chooser {
     })
 }
 
-/// Whether the system has dialogs.
+/// Checks that the system has dialogs, which it always has.
 ///
 /// # Errors
-/// Why there is none.
+/// Reason why the system has none; never here.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 fn available() -> Result<(), String> {
     Ok(())
 }
 
-/// Whether the system has dialogs: a desktop portal answers, or zenity is there.
+/// Checks that the system has dialogs: a desktop portal answers, or zenity is there.
 ///
 /// # Errors
-/// Why there is none.
+/// Reason why the system has no dialogs.
 #[cfg(all(unix, not(target_os = "macos")))]
 fn available() -> Result<(), String> {
     let Err(error) = pollster::block_on(portal()) else { return Ok(()) };

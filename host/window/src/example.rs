@@ -1,11 +1,11 @@
-//! Models for those who have none at hand.
+//! Generated models for users who have none at hand.
 
 use simod_generate::{ModelOptions, Shape};
 use simod_model::progress::Silent;
 use simod_model::{Error, Result};
 use std::path::PathBuf;
 
-/// Enough that it is no toy, and few enough that it is there at once.
+/// Number of the example's vertices: enough that it is no toy, and few enough that it is there at once.
 const VERTICES: u64 = 400_000;
 
 /// The file of an amphora, which is made if it is not there yet.

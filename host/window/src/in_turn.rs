@@ -1,4 +1,4 @@
-//! Input of the hands while a picture was drawn, one thing after the other.
+//! Input of the hands while a picture was drawn, one event after the other.
 //!
 //! A slow picture leaves many events to the next frame: a key that takes a tool, a press, a drag, a release,
 //! another key. A frame knows one state of the pointer and of the keys, so each frame gets the events up to
@@ -9,12 +9,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// Gives a context its events in turn. `waits` says after each frame's beginning whether others wait for
-/// their frame.
+/// Gives a context its events in turn. `waits` says after each frame's beginning whether further events
+/// wait for their frame.
 pub fn install(ctx: &Context, waits: Arc<AtomicBool>) {
     ctx.add_plugin(InTurn { held: VecDeque::new(), waits });
-    // A press and its release are of different frames, however long these take: it is a click if the pointer
-    // stays.
+    // A press and its release are of different frames, however long these take: both are a click if the
+    // pointer stays.
     ctx.options_mut(|options| options.input_options.max_click_duration = f64::INFINITY);
 }
 
@@ -40,10 +40,10 @@ impl Plugin for InTurn {
     }
 }
 
-/// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is
-/// pressed or let go is of different frames: a drag that begins and ends in one is none. Where somebody
-/// types, letters are no deeds; but what acts upon the text so far, as Tab, waits until the frame has seen
-/// the text.
+/// Events up to the first deed, with those that belong to the deed. The frame in which the pointer moves is
+/// another one than that in which a button is pressed or let go: a drag that begins and ends in one frame
+/// is none. Where somebody types, letters are no deeds; but keys that act upon the text so far, as Tab,
+/// wait until the frame has seen the text.
 fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
     let mut events = Vec::new();
     let (mut done, mut moved, mut typed) = (false, false, false);
@@ -73,12 +73,12 @@ fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
     events
 }
 
-/// Whether a key does something with the text as it is when it is pressed.
+/// Whether a key acts upon the text as the text is when the key is pressed.
 fn acts_upon_text(key: Key) -> bool {
     matches!(key, Key::Enter | Key::Escape | Key::Tab | Key::ArrowUp | Key::ArrowDown)
 }
 
-/// Whether a text is another one afterwards.
+/// Whether an event changes the text that is typed.
 fn is_typing(event: &Event) -> bool {
     matches!(event, Event::Key { pressed: true, .. } | Event::Text(_) | Event::Paste(_) | Event::Cut)
 }
@@ -122,7 +122,7 @@ mod tests {
         let counts: Vec<usize> = turns.iter().map(Vec::len).collect();
         assert_eq!(counts, [2, 1, 1, 2, 1, 1, 1], "{turns:?}");
         assert_eq!(turns.concat(), all);
-        // Words are typed at once; what goes on with them is done once they are there.
+        // Words are typed at once; a key that acts upon them comes in a later frame.
         let mut held = VecDeque::from([
             key(Key::A),
             text("a"),

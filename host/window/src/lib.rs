@@ -1,9 +1,9 @@
 //! `simod-viewer`: the window to edit a model in.
 //!
 //! The state changes by [`Command`](simod_viewer::Command)s alone, through [`Window::apply`]. Panels, tools
-//! and actions see the window as it is, and say by commands (`window/commands.rs`) what shall become of it
-//! once they are drawn. What is held here is the window's own: which tool is in the hand, which panels are
-//! open, how the camera is moved, what the user likes.
+//! and actions see the window as it is, and give commands (`window/commands.rs`) that are done once they
+//! are drawn. The state of this crate is the window's own: the tool in the hand, the panels that are open,
+//! the preset for the camera, the user's settings.
 //!
 //! ```text
 //! main ── arguments ──▶ start ──▶ App (eframe) ──▶ Window ──Command──▶ simod_viewer::State

@@ -2,7 +2,7 @@
 
 use std::time::SystemTime;
 
-/// How long ago something was, as people say it.
+/// Age of a moment, as people say it: "3 hours ago".
 pub fn ago(time: SystemTime) -> String {
     let seconds = time.elapsed().unwrap_or_default().as_secs();
     let some = |count: u64, unit: &str| {
@@ -17,7 +17,7 @@ pub fn ago(time: SystemTime) -> String {
     }
 }
 
-/// How long something takes or took, as people say it.
+/// Duration in the words of people, from seconds.
 pub fn duration(seconds: f64) -> String {
     match seconds.max(0.0).round() as u64 {
         s @ 0..60 => format!("{s} s"),

@@ -7,15 +7,15 @@ use simod_session::{Isolation, PluginOptions, PluginRegistry};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// How long a plugin in a process of its own may give no sign of life, and how much memory it may take: as
-/// `simod` has it.
+/// Limits of a plugin in a process of its own, the same as in `simod`: time without a sign of life, and
+/// memory in bytes.
 const PATIENCE: Duration = Duration::from_secs(120);
 const MEMORY: u64 = 4 << 30;
-/// The argument by which the program is told to run one.
+/// Argument by which the program is told to run a plugin.
 pub const SERVE: &str = "serve-plugin";
 
-/// Runs a plugin for a program of this kind: its library, the memory that it may take, and whose process it
-/// is.
+/// Runs a plugin for a program of this kind. The arguments are the plugin's library, the memory that the
+/// plugin may take, and the process that started this one.
 ///
 /// # Errors
 /// The arguments are not those that the program itself gives, or the plugin cannot be run.

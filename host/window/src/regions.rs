@@ -7,11 +7,11 @@ use simod_session::edit::Entry;
 use simod_session::step::Role;
 use simod_viewer::Command;
 
-/// By how much a selection gets finer at once.
+/// Factor by which the number of samples in a selection grows at once.
 const FINER: f64 = 4.0;
 
-/// Whether a region of this role can be made of the selection: something is selected, and the step takes such
-/// regions.
+/// Whether a region of this role can be made of the selection: something is selected, and the chosen step
+/// takes such regions.
 pub fn can_make(window: &Window, role: Role) -> bool {
     !window.state().selection().is_empty() && takes(window, role)
 }
@@ -27,7 +27,7 @@ pub fn takes(window: &Window, role: Role) -> bool {
     }
 }
 
-/// What a step needs and does not have yet.
+/// Message about the regions that a step needs and does not have yet.
 pub fn missing(window: &Window, entry: &Entry) -> Option<&'static str> {
     let deformation = entry.step.deformation()?;
     let consumes = window.state().plugins().get(&deformation.deform).ok()?.consumes();
@@ -56,8 +56,8 @@ pub fn make(window: &Window, commands: &mut Commands, role: Role) {
     });
 }
 
-/// Makes a handle of the selection, and fixes all that is farther from it than the band that bends. The
-/// handle is taken into the hand.
+/// Makes a handle of the selection, and fixes all that is farther from the handle than the band that bends.
+/// The handle is taken into the hand.
 pub fn make_handle(window: &Window, commands: &mut Commands) {
     let Some((step, _, deformation, _)) = window.chosen() else { return };
     let Some(scene) = window.state().scene() else { return };
@@ -89,7 +89,7 @@ fn select_none(commands: &mut Commands) {
     });
 }
 
-/// More samples where it is selected.
+/// Adds samples in the selection.
 pub fn refine(commands: &mut Commands) {
     commands.apply(Command::RefineSelection { finer: Finer::Factor(FINER) });
 }

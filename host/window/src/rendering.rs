@@ -1,4 +1,4 @@
-//! Pictures and turntables of what the window shows: what is asked before, and their beginning.
+//! Pictures and turntables of the model as the window shows it: the questions before, and their beginning.
 
 use crate::screenshot::{ScreenshotFormat, Shot};
 use crate::turntable::{AskedPicture, AskedTurntable, FRAMES, Turning, TurntableWork, of_film};
@@ -13,12 +13,12 @@ pub fn shown_size(window: &Window) -> [u32; 2] {
     window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32)
 }
 
-/// Whether one can be begun.
+/// Whether a picture or a turntable can be begun.
 pub fn can_begin(window: &Window) -> bool {
     window.state().scene().is_some() && window.turning.is_none() && window.stopping.is_none()
 }
 
-/// Commands how many frames, and where they go.
+/// Asks for the frames and the folder of a turntable.
 pub fn ask(window: &Window, commands: &mut Commands) {
     let Some(editor) = window.state().editor() else { return };
     let beside = editor.path().or(editor.model()).map(|path| {
@@ -30,7 +30,7 @@ pub fn ask(window: &Window, commands: &mut Commands) {
     commands.then(move |window| window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format }));
 }
 
-/// Commands how large a picture is, and where it goes.
+/// Asks for the size and the file of a picture.
 pub fn ask_for_picture(window: &Window, commands: &mut Commands) {
     let Some(editor) = window.state().editor() else { return };
     let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
@@ -39,7 +39,7 @@ pub fn ask_for_picture(window: &Window, commands: &mut Commands) {
     commands.then(move |window| window.picture = Some(AskedPicture { file, format }));
 }
 
-/// Begins one, as the window looks.
+/// Begins a turntable, as the window looks.
 pub fn begin(window: &Window, commands: &mut Commands, folder: &Path, frames: u32, format: ScreenshotFormat) {
     begin_work(window, commands, TurntableWork::Turntable(frames), folder, of_film(format));
 }
@@ -67,8 +67,8 @@ fn begin_work(
     }
 }
 
-/// The picture that a window shows, as it looks there, but for what is marked for the work on it: the
-/// selection, and regions. Width and height are even, as films have to be.
+/// The picture that a window shows, as it looks there, but without the marks for the work on the model:
+/// selection and regions. Width and height are even, as films have to be.
 ///
 /// # Errors
 /// Nothing is open.

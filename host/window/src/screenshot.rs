@@ -21,7 +21,7 @@ pub const LARGEST: u32 = 8192;
 pub struct ScreenshotFormat {
     /// Width and height in pixels.
     pub size: [u32; 2],
-    /// The background is seen through.
+    /// Whether the background is transparent.
     pub transparent: bool,
 }
 
@@ -31,7 +31,7 @@ impl Default for ScreenshotFormat {
     }
 }
 
-/// Draws what the state shows, as its camera sees it.
+/// Draws the state's scene, as its camera sees it.
 ///
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
@@ -47,14 +47,14 @@ pub fn write_shot(shot: &Shot, file: &Path) -> Result<()> {
     simod_model::output::write_file(file, &shot.studio()?.png(0.0)?)
 }
 
-/// A shot: what is drawn, and how. It does not change with what it was taken of.
+/// Content and look of a picture. A shot does not change with the state that it was taken of.
 pub struct Shot {
     shown: Arc<simod_viewer::ViewerScene>,
     radii: Vec<f32>,
     colors: Option<Vec<[u8; 3]>>,
-    /// What is shown in full.
+    /// Vertices that are shown in full.
     detail: Vec<PieceSplats>,
-    /// Samples over that.
+    /// Samples that are drawn as dots over the detail.
     pub(crate) dots: Vec<Dot>,
     camera: Camera,
     pub(crate) format: ScreenshotFormat,
@@ -70,7 +70,7 @@ pub struct Studio<'a> {
 }
 
 impl Shot {
-    /// The shot of what the state shows.
+    /// Shot of the state's scene.
     ///
     /// # Errors
     /// Nothing is open.
@@ -110,23 +110,23 @@ impl Shot {
         })
     }
 
-    /// Where its samples are: local coordinates.
+    /// Positions of the shot's samples, in local coordinates.
     pub fn positions(&self) -> &[Vec3] {
         &self.shown.positions
     }
 
-    /// This shot in another size, or before another background.
+    /// Returns this shot in another size, or before another background.
     pub fn formatted(self, format: ScreenshotFormat) -> Self {
         let size = format.size.map(|side| side.clamp(1, LARGEST));
         Self { format: ScreenshotFormat { size, ..format }, ..self }
     }
 
-    /// Whether the background is seen through.
+    /// Whether the background is transparent.
     pub fn is_transparent(&self) -> bool {
         self.format.transparent
     }
 
-    /// Gives it to a device of its own.
+    /// Gives the shot to a device of its own.
     ///
     /// # Errors
     /// There is nothing to draw with.
@@ -169,7 +169,7 @@ impl Shot {
 }
 
 impl Studio<'_> {
-    /// The picture after the camera went round its target by an angle, radians.
+    /// Picture after the camera went round its target by an angle in radians.
     ///
     /// # Errors
     /// The device was lost.

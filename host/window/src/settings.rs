@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Models and sessions that are remembered.
 const RECENT: usize = 10;
 
-/// How light the window is.
+/// Brightness of the window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Theme {
@@ -18,7 +18,7 @@ pub enum Theme {
     Light,
 }
 
-/// What the surface is lit by.
+/// Light of the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Lighting {
@@ -32,7 +32,7 @@ pub enum Lighting {
 }
 
 impl Lighting {
-    /// As the renderer knows it.
+    /// Light of the renderer that belongs to the setting.
     pub fn light(self) -> Light {
         match self {
             Self::Lamps => Light::Key,
@@ -49,19 +49,19 @@ impl Lighting {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", default)]
 pub struct WindowSettings {
-    /// How light the window is.
+    /// Brightness of the window.
     pub theme: Theme,
     /// The name of the way to move the camera; see [`Navigation::ALL`].
     pub navigation: String,
-    /// What the surface is lit by.
+    /// Light of the surface.
     pub light: Lighting,
     /// Whether crevices are darker.
     pub occlusion: bool,
     /// About how many samples are taken of a model that is opened.
     pub samples: u64,
-    /// What was opened last, latest first.
+    /// Models and sessions that were opened last, latest first.
     pub recent: Vec<PathBuf>,
-    /// Where it is kept; nowhere in tests.
+    /// File in which the settings are kept; none in tests.
     #[serde(skip)]
     file: Option<PathBuf>,
 }
@@ -81,7 +81,7 @@ impl Default for WindowSettings {
 }
 
 impl WindowSettings {
-    /// The user's. Whatever cannot be read is as it is at first.
+    /// Loads the user's settings. A setting that cannot be read has its first value.
     pub fn load() -> Self {
         let folders = directories::ProjectDirs::from("", "", "simod");
         let file = folders.map(|f| f.config_dir().join("viewer.toml"));
@@ -90,7 +90,7 @@ impl WindowSettings {
         Self { file, ..known }
     }
 
-    /// Keeps them.
+    /// Writes the settings to their file.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -107,7 +107,7 @@ impl WindowSettings {
         Navigation::ALL.iter().find(|n| n.name == self.navigation).unwrap_or(&Navigation::ALL[0])
     }
 
-    /// Remembers what was opened.
+    /// Remembers a model or session that was opened.
     pub fn remember(&mut self, path: &Path) {
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         self.recent.retain(|other| *other != path);
@@ -115,19 +115,19 @@ impl WindowSettings {
         self.recent.truncate(RECENT);
     }
 
-    /// Forgets what cannot be opened.
+    /// Forgets a model or session that cannot be opened.
     pub fn forget(&mut self, path: &Path) {
         let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         self.recent.retain(|other| *other != whole && other != path);
     }
 }
 
-/// Whether it says itself how it is sampled: a session, or the folder of a sampled model.
+/// Whether the path says itself how its model is sampled: a session, or the folder of a sampled model.
 pub fn is_sampled(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "toml") || path.is_dir()
 }
 
-/// How finely a model is sampled, if `--samples` says so.
+/// Sampling of a model that is opened, with the number of samples that `--samples` gives.
 pub fn sampling(samples: Option<u64>) -> SamplingTable {
     SamplingTable { samples, ..SamplingTable::default() }
 }

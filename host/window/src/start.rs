@@ -1,5 +1,5 @@
-//! The program: opens the window, or says why there is none, or does without one what the command line asks
-//! for.
+//! The program: opens the window, or says why there is none, or does without a window what the command line
+//! asks for.
 
 use crate::app::App;
 use crate::arguments::WindowArguments;
@@ -21,7 +21,7 @@ use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-/// What `simod-viewer` does: everything but `main` itself.
+/// Main function of `simod-viewer`, but for `main` itself.
 pub fn main() -> ExitCode {
     // A plugin that did not come with the program is run by this program once more.
     let mut plain = std::env::args_os().skip(1);
@@ -76,7 +76,7 @@ fn execute(arguments: WindowArguments) -> Result<()> {
     Ok(())
 }
 
-/// The window, until it is closed.
+/// Shows the window until it is closed.
 ///
 /// # Errors
 /// There is nothing to draw with, no screen, or a file cannot be read.
@@ -121,12 +121,12 @@ fn open_window(
 
 const RECOVER: &str = "open the model again: what was not saved is offered for recovery";
 
-/// Why there is no window, and what to do.
+/// Error that tells why there is no window, and what to do.
 fn refused(error: &eframe::Error) -> Error {
     let text = error.to_string();
     let is_screen = matches!(error, eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_));
     if is_screen {
-        // Without the place in the library's source.
+        // The library's message without the place in its source.
         let text = text.rsplit(": ").next().unwrap_or_default();
         let hint = "start it where there is a screen, or replay a recording with --no-window";
         Error::system(format!("no window can be opened: {text}"), hint)

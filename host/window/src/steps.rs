@@ -27,7 +27,7 @@ pub fn added(commands: &mut Commands, plugin: &Plugin, at: Option<usize>) {
     });
 }
 
-/// Has a name typed.
+/// Begins the typing of a step's name.
 pub fn rename(window: &Window, commands: &mut Commands, at: usize) {
     let Some(entry) = window.steps().get(at).cloned() else { return };
     let text = entry.step.title.clone().unwrap_or_default();
@@ -35,7 +35,7 @@ pub fn rename(window: &Window, commands: &mut Commands, at: usize) {
     commands.then(|window| window.renaming = Some(renaming));
 }
 
-/// Has the name of the group typed that a step begins.
+/// Begins the typing of the name of the group that a step begins.
 pub fn rename_group(window: &Window, commands: &mut Commands, at: usize) {
     let Some(entry) = window.steps().get(at).cloned() else { return };
     let text = entry.step.group.clone().unwrap_or_default();
@@ -95,18 +95,18 @@ fn put_on_clipboard(window: &Window, commands: &mut Commands, text: Result<Strin
     }
 }
 
-/// Has what is on the clipboard given by the system, which becomes steps behind this one.
+/// Asks the system for the text on the clipboard, which becomes steps behind this one.
 pub fn ask_to_paste(window: &Window, commands: &mut Commands, at: usize) {
     commands.apply(Command::Choose { step: Some(at) });
     window.ctx().send_viewport_cmd(ViewportCommand::RequestPaste);
 }
 
-/// Steps of a text, behind the chosen one.
+/// Adds the steps of a text behind the chosen one.
 pub fn paste(commands: &mut Commands, text: String) {
     commands.apply_then(Command::Paste { text, at: None }, |window| window.tools.target = None);
 }
 
-/// What [`solo`] does with a step.
+/// Name of the action that [`solo`] does with a step.
 pub fn solo_name(window: &Window, at: usize) -> &'static str {
     if is_alone(window, at) { "With the Others Again" } else { "Only This Step" }
 }
@@ -121,7 +121,7 @@ pub fn solo(_: &Window, commands: &mut Commands, at: usize) {
     commands.apply(Command::Edit(EditCommand::Solo { at }));
 }
 
-/// Another amount of the chosen step, in steps of a tenth.
+/// Changes the amount of the chosen step, in steps of a tenth.
 pub fn change_amount(window: &Window, commands: &mut Commands, by: f64) {
     let Some((at, _, deformation, _)) = window.chosen() else { return };
     let amount = (10.0 * (deformation.amount + by)).round() / 10.0;

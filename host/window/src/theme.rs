@@ -1,4 +1,4 @@
-//! How the window looks: colours with a meaning, and egui's style.
+//! Look of the window: colours with a meaning, and egui's style.
 
 use crate::settings::Theme;
 use eframe::egui::{
@@ -6,20 +6,20 @@ use eframe::egui::{
 };
 use simod_session::step::Role;
 
-/// The colour of what is selected.
+/// Colour of selected things.
 pub const SELECTED: [u8; 3] = [255, 138, 30];
-/// The surface where it shows nothing else; as the renderer's clay.
+/// Colour of the surface where no other is shown; as the renderer's clay.
 pub const CLAY: [u8; 3] = [197, 189, 180];
 
-/// What samples are tinted with, and how much, where other parts are shown in full.
+/// Tint of samples, and its share, where other parts are shown in full.
 pub const SAMPLES: [u8; 3] = [96, 116, 150];
 pub const SAMPLES_SHARE: f32 = 0.3;
 
-/// Dots for samples over what is shown in full, and how large they are, in pixels.
+/// Colour and size in pixels of the dots for samples over vertices that are shown in full.
 pub const SAMPLE_DOTS: [u8; 4] = [255, 214, 90, 255];
 pub const SAMPLE_DOT_SIZE: f32 = 3.0;
 
-/// The surface where samples stand for it and other parts are shown in full.
+/// Colour of the surface where samples stand for it and other parts are shown in full.
 pub fn samples_clay() -> [u8; 3] {
     mixed(CLAY, SAMPLES, SAMPLES_SHARE)
 }
@@ -52,10 +52,10 @@ pub fn color([r, g, b]: [u8; 3]) -> Color32 {
     Color32::from_rgb(r, g, b)
 }
 
-/// The colour of what is chosen, and the one button that goes on.
+/// Colour of chosen things, and of the one button that goes on.
 pub const ACCENT: Color32 = Color32::from_rgb(62, 124, 214);
 
-/// Colours of a theme: the darkest first in the dark one, and turned round in the light one.
+/// Colours of a theme: the darkest first in the dark one, and in reverse order in the light one.
 struct Palette {
     dark: bool,
     panel: Color32,
@@ -131,7 +131,7 @@ impl Palette {
     }
 }
 
-/// Makes egui look like this.
+/// Gives egui the look of a theme.
 pub fn apply(ctx: &egui::Context, theme: Theme) {
     let (theme, palette) = match theme {
         Theme::Dark => (egui::Theme::Dark, &DARK),

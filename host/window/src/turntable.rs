@@ -14,13 +14,13 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// So many frames unless told otherwise: four seconds of a film.
+/// Number of frames unless told otherwise: four seconds of a film.
 pub const FRAMES: u32 = 120;
 /// Frames a second of a film unless told otherwise.
 pub const RATE: u32 = 30;
 
-/// Draws so many frames into a folder, which appears whole or not at all. The first is the picture as it is;
-/// the camera goes to the right, round its target.
+/// Draws so many frames into a folder, which appears whole or not at all. The first frame is the picture as
+/// it is; the camera goes to the right, round its target.
 ///
 /// # Errors
 /// There is nothing to draw with, the folder cannot be written or holds something else, or the user
@@ -37,23 +37,23 @@ pub fn write(shot: &Shot, folder: &Path, frames: u32, progress: &dyn Progress) -
     folder.commit()
 }
 
-/// What is asked before a turntable is drawn.
+/// Fields of the question before a turntable is drawn.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AskedTurntable {
     /// The folder, which is to be made.
     pub folder: String,
     /// Frames of the turn.
     pub frames: u32,
-    /// How large they are, and their background.
+    /// Size of the frames, and their background.
     pub format: ScreenshotFormat,
 }
 
-/// What is asked before a picture is drawn.
+/// Fields of the question before a picture is drawn.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AskedPicture {
     /// The file, which is to be made.
     pub file: String,
-    /// How large it is, and its background.
+    /// Size of the picture, and its background.
     pub format: ScreenshotFormat,
 }
 
@@ -64,14 +64,14 @@ pub struct Film {
     pub folder: PathBuf,
     /// The number of frames.
     pub frames: u32,
-    /// Whether the background of the pictures is seen through.
+    /// Whether the background of the pictures is transparent.
     pub transparent: bool,
     /// Frames a second of the film.
     pub rate: u32,
 }
 
-/// The command line by which FFmpeg makes a film of the frames in a folder, beside it: H.264, which is played
-/// everywhere, or ProRes where the background is seen through.
+/// Command line by which FFmpeg makes a film of the frames in a folder, beside the folder: H.264, which is
+/// played everywhere, or ProRes where the background is transparent.
 pub fn film(folder: &Path, rate: u32, transparent: bool) -> String {
     let quoted = |text: &str| format!("'{}'", text.replace('\'', "'\\''"));
     let folder = folder.display().to_string();
@@ -93,13 +93,13 @@ pub fn of_film(format: ScreenshotFormat) -> ScreenshotFormat {
 /// The pictures that are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TurntableWork {
-    /// So many frames, into a folder.
+    /// A turntable of so many frames, into a folder.
     Turntable(u32),
     /// A picture, to a file.
     Picture,
 }
 
-/// One that is being drawn. Dropped, it is stopped, and leaves nothing.
+/// Turntable or picture that is being drawn. When dropped, it is stopped, and leaves nothing.
 pub struct Turning {
     watch: Arc<TurntableWatch>,
     made: Receiver<Result<()>>,
@@ -142,7 +142,7 @@ impl Turning {
         let (sender, made) = channel();
         let (to, progress, transparent) = (target.to_owned(), watch.clone(), shot.is_transparent());
         let thread = std::thread::spawn(move || {
-            // Nobody waits any more once the window is closed.
+            // The result has no receiver once the window is closed.
             let _ = sender.send(match work {
                 TurntableWork::Turntable(frames) => write(&shot, &to, frames, &*progress),
                 TurntableWork::Picture => screenshot::write_shot(&shot, &to),
@@ -167,7 +167,7 @@ impl Turning {
         }
     }
 
-    /// Frames that are drawn, of how many.
+    /// Number of frames that are drawn, and of all.
     pub fn progress(&self) -> (u32, u32) {
         let frames = match self.work {
             TurntableWork::Turntable(frames) => frames,
@@ -176,17 +176,17 @@ impl Turning {
         (self.watch.done.load(Relaxed), frames)
     }
 
-    /// Whether its thread is over.
+    /// Whether the thread that draws is over.
     pub fn is_over(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Stops it: nothing is left.
+    /// Stops the drawing: nothing is left of it.
     pub fn cancel(&self) {
         self.watch.cancelled.store(true, Relaxed);
     }
 
-    /// What it came to, once it is over.
+    /// Result of the drawing, once it is over.
     pub fn made(&self) -> Option<Result<()>> {
         match self.made.try_recv() {
             Ok(made) => Some(made),
@@ -198,7 +198,7 @@ impl Turning {
         }
     }
 
-    /// What the user reads when it is there.
+    /// Message to the user once the frames or the picture are there.
     pub fn done(&self) -> String {
         match self.work {
             TurntableWork::Turntable(frames) => format!("{frames} frames are in {}.", self.target.display()),
@@ -214,7 +214,7 @@ impl Turning {
         }
     }
 
-    /// What a film can be made of, where it is frames.
+    /// Frames of which a film can be made; none of a single picture.
     pub fn film(&self) -> Option<Film> {
         let TurntableWork::Turntable(frames) = self.work else { return None };
         let (folder, transparent) = (self.target.clone(), self.transparent);

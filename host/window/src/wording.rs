@@ -1,5 +1,5 @@
-//! What steps and their plugins say, in the window's words: they speak of session files, which users of the
-//! window may never have seen.
+//! Messages of steps and their plugins, in the window's words: the messages speak of session files, which
+//! users of the window may never have seen.
 
 use crate::numbers::{count, number};
 use crate::widgets::values::number_of;
@@ -7,11 +7,11 @@ use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::Plugin;
 use toml::{Table, Value};
 
-/// Tables of a step in a session file, and what the window has for them.
+/// Names of a step's tables in a session file, and the window's words for them.
 const TABLES: [(&str, &str); 4] =
     [("joint", "joints"), ("handle", "handles"), ("region", "regions"), ("stroke", "strokes")];
 
-/// A text as the window says it. Parameters of the plugin have the names that its panel shows.
+/// Text in the window's words. Parameters of the plugin have the names that its panel shows.
 pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
     // The plugin's name stands above already.
     let named = plugin.and_then(|plugin| text.strip_prefix(&format!("plugin {}: ", plugin.id())));
@@ -40,7 +40,8 @@ pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
     text
 }
 
-/// The parameter and its value of a text such as `align = "rigid"`: one that is switched, or has choices.
+/// The parameter and its value in a text such as `align = "rigid"`, of a parameter that is switched, or has
+/// choices.
 fn assigned<'a>(text: &str, params: &'a [ParamDesc]) -> Option<(&'a ParamDesc, Value)> {
     let table: Table = toml::from_str(text).ok()?;
     let (id, value) = table.into_iter().next()?;
@@ -69,7 +70,7 @@ fn shown(desc: &ParamDesc, value: &Value) -> String {
     }
 }
 
-/// What sets a parameter to a choice, or switches it, unless it is so already.
+/// Remedy that sets a parameter to a choice, or switches it, unless the parameter has that value already.
 fn setting(desc: &ParamDesc, value: Value, now: Option<&Value>) -> Option<Remedy> {
     let is_default = || match &value {
         Value::Boolean(on) => desc.default_numbers.first().is_some_and(|x| *x != 0.0) == *on,
@@ -96,9 +97,9 @@ pub struct Remedy {
     pub text: String,
 }
 
-/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", or what
-/// `id = "choice"` or `id = true` would do, as many as it names. Where it says no number, it is twice or half
-/// of what it is, within its range.
+/// Remedies that a plugin's text names: to "raise `id`", or "lower `id` to 3", or the effect of `id =
+/// "choice"` or `id = true`, as many as the text names. Where the text says no number, the new value is
+/// twice or half of the present one, within the parameter's range.
 pub fn remedies(text: &str, params: &[ParamDesc], values: &Table) -> Vec<Remedy> {
     let pieces: Vec<&str> = text.split('`').collect();
     let mut raises = None;
@@ -142,7 +143,8 @@ fn remedy(desc: &ParamDesc, value: Option<&Value>, raises: bool, after: &str) ->
     is_better.then(|| Remedy { id: desc.id.to_string(), value, text })
 }
 
-/// What a plugin that comes with the program is for, for those who do not know its method; empty for others.
+/// Purpose of a plugin that comes with the program, for those who do not know its method; empty for other
+/// plugins.
 pub fn purpose(plugin: &str) -> &'static str {
     match plugin {
         "blendshapes" => "For expressions and variants: mix shapes that others made.",
@@ -184,7 +186,7 @@ mod tests {
         assert_eq!(found[0].1, Value::Integer(2000));
         assert_eq!(found[0].2, "Raise Most centres to 2\u{2009}000");
         assert_eq!((&*found[1].0, &found[1].1), ("tolerance", &Value::Float(0.2)));
-        // What is so already, or cannot be, is no remedy.
+        // A change to the present value, or to an impossible one, is no remedy.
         assert_eq!(told(text, "max-centers = 2000").len(), 1);
         assert_eq!(told("raise `max-centers` to 9000", "")[0].1, Value::Integer(3000));
         assert_eq!(told("bumps of their own: raise `support`", "")[0].1, Value::Float(0.4));

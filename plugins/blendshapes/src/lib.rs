@@ -1,8 +1,8 @@
-//! Blend shapes: targets are the samples as something has deformed them, and each is added by an amount.
+//! Blend shapes: targets are deformed versions of the samples, and each is added by an amount.
 //!
 //! F. Parke, *Computer generated animation of faces*, ACM annual conference 1972; J. P. Lewis and others,
 //! *Practice and theory of blendshape facial models*, Eurographics 2014 (delta blendshapes, section 2): a
-//! sample goes to `p + Σ wᵢ (tᵢ - p₀)`, where `p₀` is where it was before all steps. Targets are matched by
+//! sample goes to `p + Σ wᵢ (tᵢ - p₀)`, where `p₀` is its position before all steps. Targets are matched by
 //! the samples' ids.
 
 use glam::DVec3;
@@ -11,22 +11,22 @@ use simod_plugin_api::{
     PluginError, PluginResult, PointsKind, PrepareInput,
 };
 
-/// Targets of a step; a further step has as many again.
+/// Number of targets of a step; a further step has as many again.
 const TARGETS: usize = 8;
-/// Samples at once on one thread.
+/// Number of samples at once on one thread.
 const BLOCK: usize = 4096;
-/// What a target moves by less, as a part of the diagonal, it does not move: files have coordinates in single
-/// precision.
+/// Distance below which a target does not move a sample, as a part of the diagonal: files have coordinates
+/// in single precision.
 const STILL: f64 = 1e-6;
 
-/// Targets that are farther from the samples, in local coordinates, whose unit is about the model's size, are
-/// a mistake.
+/// Distance of a target from the samples beyond which it is a mistake, in local coordinates, whose unit is
+/// about the model's size.
 const FAR: f64 = 1e3;
 
 /// The plugin.
 struct Blendshapes;
 
-/// How far each target moves each sample: 12 bytes for each sample and target.
+/// Displacement of each sample by each target: 12 bytes for each sample and target.
 struct TargetDisplacements {
     count: usize,
     targets: Vec<(usize, Vec<[f32; 3]>)>,
@@ -53,13 +53,13 @@ impl Deformer for Blendshapes {
             descriptor = descriptor
                 .param(
                     ParamDesc::model(&id, &name, 1)
-                        .hint("The samples as something has deformed them: a file with their ids, as `simod deform` writes it"),
+                        .hint("Samples as something has deformed them: a file with their ids, as `simod deform` writes it"),
                 )
                 .param(
                     ParamDesc::float(&amount(number), &format!("Amount {number}"), 1.0)
                         .hard(-10.0, 10.0)
                         .soft(0.0, 1.0)
-                        .hint("How much of the target is added; less than nothing takes it away"),
+                        .hint("Amount of the target that is added: 1 is all, values below 0 take it away, those above 1 exaggerate"),
                 );
         }
         descriptor.consumes(Consumes { rest_positions: true, ..Consumes::default() })
@@ -113,7 +113,7 @@ impl Deformer for Blendshapes {
     }
 }
 
-/// How far a target moves each sample; those that it does not have are not moved.
+/// Displacement of each sample by a target; samples that the target does not have are not moved.
 fn displacements(
     id: &str,
     model: &OtherModel<'_>,
@@ -153,7 +153,7 @@ fn displacements(
     Ok(by)
 }
 
-/// Whether no target that is given counts.
+/// Whether no given target has an amount other than 0.
 fn is_still(params: Params<'_>) -> PluginResult<bool> {
     for number in 1..=TARGETS {
         if params.model(&target(number))?.is_some() && params.float(&amount(number))? != 0.0 {

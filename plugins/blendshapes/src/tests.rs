@@ -1,4 +1,4 @@
-//! The whole plugin, as the host calls it.
+//! Tests of the whole plugin, as the host calls it.
 
 use super::*;
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ fn samples(count: usize) -> Vec<[f32; 3]> {
     (0..count).map(|i| [at(i, 0.618_034), at(i, 0.754_878), at(i, 0.569_84)]).collect()
 }
 
-/// Where a target's points are, their ids, and the amount.
+/// Points of a target, their ids, and the amount.
 type Given<'a> = (&'a [[f64; 3]], &'a [u64], f64);
 
 /// The samples with two targets.
@@ -56,8 +56,8 @@ fn moved(rest: &[[f32; 3]], by: impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(50))]
 
-    /// Displacements add up by their amounts, whatever the order of points, and on top of what earlier steps
-    /// did.
+    /// Displacements add up by their amounts, whatever the order of points, and on top of the displacements
+    /// by earlier steps.
     #[test]
     fn displacements_add_up(a in -3.0..3.0_f64, b in -3.0..3.0_f64, turn in 0..40_usize) {
         let rest = samples(40);

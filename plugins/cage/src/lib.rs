@@ -4,7 +4,7 @@
 //! where details are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*,
 //! SIGGRAPH 2023.
 //! Each sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample
-//! and each vertex, with mean value coordinates each that does not move as it did the last time.
+//! and each vertex, with mean value coordinates for each vertex that moves otherwise than the last time.
 
 mod made;
 mod mean_value;
@@ -25,33 +25,33 @@ use somigliana::{CageBody, Coordinates};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use sums::CageSums;
 
-/// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which
-/// does not move is not read.
+/// Number of samples whose coordinates lie together: those for one vertex follow each other, so that a
+/// vertex which does not move is not read.
 const TILE: usize = 1024;
-/// The bound of the table of coordinates, in bytes: four for each sample and vertex, or 40.
+/// Greatest size of the table of coordinates, in bytes: four for each sample and vertex, or 40.
 const LARGEST_TABLE: usize = 1 << 30;
-/// Points between two looks at the host's wish to stop.
+/// Number of points between two looks at the host's wish to stop.
 const BLOCK: usize = 256;
 
 /// The plugin.
 struct CagePlugin;
 
-/// How a cage is made.
+/// Parameters of a cage.
 #[derive(ParamSet)]
 struct CageSettings {
-    /// Made about the model, unless there is a file
+    /// Shape of the cage that is made, where `file` names none
     #[param(default = CageShape::Hull, invalidates_preparation)]
     cage: CageShape,
-    /// About how many vertices a cage has that is made
+    /// Number of vertices of a cage that is made, approximately
     #[param(default = 40, hard = 6..=400, soft = 6..=150, invalidates_preparation)]
     detail: i64,
-    /// How far a cage that is made stays away from the model; the edges of a near one show
+    /// Distance of a cage that is made from the model; the edges of a near one show
     #[param(default = 0.05, unit = "diagonal", hard = 0.001..=1.0, soft = 0.01..=0.1, invalidates_preparation)]
     margin: f64,
 }
 
 impl CageSettings {
-    /// About how many vertices it has.
+    /// Approximate number of vertices.
     fn vertices(&self) -> PluginResult<usize> {
         usize::try_from(self.detail).map_err(|_| PluginError::parameter("detail", "is negative"))
     }
@@ -65,15 +65,16 @@ enum CageShape {
     Box,
 }
 
-/// What coordinates samples have in a cage.
+/// Parameters of the samples' coordinates in a cage.
 #[derive(ParamSet)]
 struct Followed {
-    /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes
-    /// more memory and time
+    /// Coordinates of the samples; Somigliana's keep the shape of details, and take more memory and time
+    ///
+    /// The model then follows the cage as an elastic body does; mean values shear details.
     #[param(default = CageCoordinates::MeanValue, invalidates_preparation)]
     coordinates: CageCoordinates,
-    /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single
-    /// vertices are drawn out
+    /// Poisson's ratio, for Somigliana; low ones keep details' shape, high ones the volume at vertices drawn
+    /// out
     #[param(default = -0.25, hard = -0.9..=0.49, soft = -0.5..=0.45, invalidates_preparation)]
     poisson: f64,
 }
@@ -90,15 +91,16 @@ enum CageCoordinates {
 struct PreparedCage {
     cage: Cage,
     table: SampleCoordinates,
-    /// Tells it from other states of this process.
+    /// Number that tells this state from other ones of this process.
     id: u64,
 }
 
 /// Coordinates of all samples.
 enum SampleCoordinates {
-    /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
+    /// Mean value coordinates tile by tile, vertex by vertex, sample by sample; the last tile is as long as
+    /// the others.
     MeanValue(Vec<f32>),
-    /// As [`CageBody::tabulate`] has them.
+    /// Somigliana coordinates in the order of [`CageBody::tabulate`].
     Somigliana(CageBody, Vec<f32>),
 }
 
@@ -120,21 +122,21 @@ fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
     make(&input.bounds, input.samples.positions(), made.margin * input.bounds.diagonal(), made.vertices()?)
 }
 
-/// How far each vertex was moved.
+/// Displacement of each vertex.
 fn displacements(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<DVec3>> {
     if motions.len() != cage.vertices.len() {
         let message = format!("{} motions of {} vertices", motions.len(), cage.vertices.len());
         return Err(PluginError::internal(message));
     }
     let displacement = |(p, motion): (&DVec3, &Affine)| {
-        // What does not move shall not move by rounding either.
+        // A vertex that does not move shall not move by rounding either.
         let still = *motion == Affine::IDENTITY;
         if still { DVec3::ZERO } else { DVec3::from(motion.apply((*p).into())) - *p }
     };
     Ok(cage.vertices.iter().zip(motions).map(displacement).collect())
 }
 
-/// Refuses tables beyond the bound: of so many numbers for a sample.
+/// Refuses tables beyond the bound, of `numbers` numbers for each sample.
 fn check_size(samples: usize, vertices: usize, numbers: usize) -> PluginResult<()> {
     let most = LARGEST_TABLE / size_of::<f32>() / numbers;
     if samples.div_ceil(TILE).saturating_mul(TILE) <= most {
@@ -145,14 +147,14 @@ fn check_size(samples: usize, vertices: usize, numbers: usize) -> PluginResult<(
         .hint(format!("take less than {most} samples, or a cage with less vertices")))
 }
 
-/// Mean value coordinates of samples, and how many lie outside.
+/// Mean value coordinates of samples, and number of the samples that lie outside.
 fn tabulate(cage: &Cage, samples: &[[f32; 3]], host: &Host<'_>) -> PluginResult<(Vec<f32>, usize)> {
     let vertices = cage.vertices.len();
     let mut table = vec![0.0; samples.len().div_ceil(TILE) * TILE * vertices];
     let (outside, total) = (AtomicUsize::new(0), samples.len().max(1) as f64);
     host.parallel_blocks(&mut table, TILE * vertices, |first, tile| {
         let first = first / vertices;
-        // Whether to go on is looked after by whoever hands out the blocks.
+        // The wish to stop is looked after by the code that hands out the blocks.
         let _ = host.progress(first as f64 / total);
         let (mut view, mut weights) = (SeenCage::default(), vec![0.0; vertices]);
         for (i, p) in samples[first..].iter().take(TILE).enumerate() {
@@ -305,7 +307,7 @@ impl Handles for CagePlugin {
 impl HandleFaces for CagePlugin {
     fn handle_faces(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<Vec<u32>>> {
         let (params, made) = (input.params(), input.params().read::<CageSettings>()?);
-        // A hull takes several looks at all samples, for its vertices alone.
+        // A hull's vertices take several passes over all samples; its faces take none.
         if params.file("file")?.is_none() && matches!(made.cage, CageShape::Hull) {
             return Ok(made::hull_faces(made.vertices()?));
         }

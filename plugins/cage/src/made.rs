@@ -5,13 +5,14 @@ use glam::{DVec3, IVec3};
 use simod_plugin_api::{Bounds, PluginResult};
 use std::collections::HashMap;
 
-/// The least size of a cage, relative to the diagonal: also flat models get a cage with a volume.
+/// Least size of a cage, relative to the diagonal: also flat models get a cage with a volume.
 const THINNEST: f64 = 0.05;
-/// How often a hull is drawn in.
+/// Number of rounds in which a hull is drawn in.
 const ROUNDS: usize = 30;
-/// A hull is drawn in by the outermost samples, one for each part of a face; this many parts along a side.
+/// Number of parts along a side of a face: a hull is drawn in by the outermost samples, one for each part
+/// of a face.
 const PARTS: usize = 8;
-/// No corner of a hull is nearer to its centre, in units of the box' half size.
+/// Least distance of a hull's corner from the centre, in units of the box' half size.
 const NEAREST: f64 = 0.05;
 
 /// The box about the model at rest, and about the samples where earlier steps have moved them, with a margin.
@@ -35,14 +36,14 @@ impl ModelBox {
     }
 }
 
-/// A box whose faces are divided into about square cells, so that it has about `detail` vertices.
+/// Box whose faces are divided into about square cells, so that it has about `detail` vertices.
 pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -> PluginResult<Cage> {
     let around = ModelBox::new(bounds, samples, margin);
     let divided = |along: i32| {
         (around.half / around.half.max_element() * f64::from(along)).round().as_ivec3().max(IVec3::ONE)
     };
     let vertices = |n: IVec3| 2 * (n.x * n.y + n.y * n.z + n.z * n.x) + 2;
-    // As many along the longest side as come nearest.
+    // The number of cells along the longest side is that which gives the nearest number of vertices.
     let mut best = divided(1);
     for along in 2..=detail as i32 {
         let next = divided(along);
@@ -66,8 +67,8 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
                         mesh.vertex(corner)
                     };
                     let mut quad = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
-                    // Diagonals that mirror each other in the face's middle lines: what is symmetric stays
-                    // so.
+                    // Diagonals mirror each other in the face's middle lines, so that a symmetric cage
+                    // stays so.
                     if (2 * i < n[b]) == (2 * j < n[c]) {
                         quad.rotate_left(1);
                     }
@@ -83,9 +84,9 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
     Ok(Cage::new(mesh.grid.iter().map(vertex).collect(), mesh.triangles)?.with_faces(faces))
 }
 
-/// A hull as it is seen from the centre, with about `detail` vertices in fixed directions: those of an
-/// octahedron whose edges are divided. Each vertex is drawn in as far as its triangles leave all samples, and
-/// a margin, inside.
+/// Hull as seen from the centre, with about `detail` vertices in fixed directions: those of an octahedron
+/// whose edges are divided. Each vertex is drawn in as far as its triangles leave all samples, and a
+/// margin, inside.
 ///
 /// On a triangle with corners `v_k / x_k`, a sample `s Σ β_k v_k` lies inside if `Σ s β_k x_k <= 1`: in the
 /// inverse radii `x` these are linear, and a sample has to do with one triangle alone.
@@ -115,26 +116,26 @@ pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -
         limits = sphere.limits(&x, outermost.iter().copied());
         for (v, x) in x.iter_mut().enumerate() {
             if limits[v] > 0.0 {
-                // As all limits of a sample's corners are at least what it comes to, it stays inside.
+                // The sample stays inside, as all limits of its corners are at least its own sum.
                 *x = (*x / limits[v]).min(unit[v] / NEAREST);
             }
         }
     }
-    // Where nothing is seen, such as below an open base, as flat as may be.
+    // Vertices that no sample limits, such as below an open base, are as flat as may be.
     let neighbours = sphere.mesh.neighbours();
     for _ in 0..ROUNDS {
         for v in (0..x.len()).filter(|v| limits[*v] == 0.0) {
             x[v] = neighbours[v].iter().map(|n| x[*n]).sum::<f64>() / neighbours[v].len() as f64;
         }
     }
-    // And all samples at last.
+    // At last all samples limit the hull, not the outermost ones alone.
     let limits = sphere.limits(&x, samples.iter().filter_map(seen));
     x.iter_mut().zip(&limits).for_each(|(x, limit)| *x /= limit.max(1.0));
     let vertex = |(v, x): (&IVec3, &f64)| around.centre + around.half * v.as_dvec3() / *x;
     Cage::new(sphere.mesh.grid.iter().zip(&x).map(vertex).collect(), sphere.mesh.triangles)
 }
 
-/// The faces of a [`hull`], which the samples have no say in.
+/// Faces of a [`hull`], which do not depend on the samples.
 pub fn hull_faces(detail: usize) -> Vec<Vec<u32>> {
     let triangles = Octahedron::with_about(detail).mesh.triangles;
     triangles.iter().map(|corners| corners.map(|v| v as u32).to_vec()).collect()
@@ -176,16 +177,16 @@ impl GridTriangles {
 struct Octahedron {
     n: i32,
     mesh: GridTriangles,
-    /// The triangles by the points of the grid where they begin: see [`Octahedron::place`].
+    /// Index of each triangle by the point of the grid where it begins: see [`Octahedron::place`].
     by_place: Vec<usize>,
 }
 
-/// Where the corners of a triangle are that begins at a point of the grid, in two coordinates.
+/// Corners of the triangle that begins at a point of the grid, in two coordinates.
 fn corners(i: i32, j: i32, upright: bool) -> [(i32, i32); 3] {
     if upright { [(i, j), (i + 1, j), (i, j + 1)] } else { [(i + 1, j + 1), (i, j + 1), (i + 1, j)] }
 }
 
-/// Whether what is counter-clockwise in the first octant is clockwise in this one.
+/// Whether a counter-clockwise triangle of the first octant is clockwise in this one.
 fn is_mirrored(octant: u8) -> bool {
     octant.count_ones() % 2 == 1
 }
@@ -193,18 +194,18 @@ fn is_mirrored(octant: u8) -> bool {
 /// A point as seen from the centre.
 #[derive(Debug, Clone, Copy)]
 struct CentredPoint {
-    /// The triangle in front of it.
+    /// Triangle in front of the point.
     triangle: usize,
-    /// The point's barycentric coordinates there.
+    /// Barycentric coordinates of the point in the triangle.
     share: DVec3,
-    /// How far out it is; 1 on the octahedron.
+    /// Distance from the centre, in the octahedron's norm: 1 on the octahedron.
     size: f64,
 }
 
 impl Octahedron {
-    /// The octahedron of about so many vertices.
+    /// Octahedron of about so many vertices.
     fn with_about(vertices: usize) -> Self {
-        // 4 n² + 2 of them.
+        // An octahedron has 4 n² + 2 vertices.
         Self::new(((vertices.saturating_sub(2) as f64 / 4.0).sqrt().round() as i32).max(1))
     }
 
@@ -229,7 +230,7 @@ impl Octahedron {
         this
     }
 
-    /// Where in the table a triangle is.
+    /// Place of a triangle in the table.
     fn place(&self, octant: u8, i: i32, j: i32, upright: bool) -> usize {
         (((i32::from(octant) * self.n + i) * self.n + j) * 2 + i32::from(upright)) as usize
     }
@@ -251,7 +252,7 @@ impl Octahedron {
         Some(CentredPoint { triangle: self.by_place[self.place(octant, i, j, upright)], share, size })
     }
 
-    /// For each vertex, the most that its triangles' samples come to; 0 where there is none.
+    /// Greatest sum `Σ s β_k x_k` of any sample in each vertex' triangles; 0 where there is none.
     fn limits(&self, x: &[f64], samples: impl Iterator<Item = CentredPoint>) -> Vec<f64> {
         let mut of_triangles = vec![0.0_f64; self.mesh.triangles.len()];
         for CentredPoint { triangle, share, size } in samples {
@@ -280,7 +281,7 @@ mod tests {
         Bounds { min: fold(f64::min, f64::INFINITY), max: fold(f64::max, f64::NEG_INFINITY) }
     }
 
-    /// Inside, by a margin to all triangles' planes that lie in front of it.
+    /// Whether all samples are inside, by a margin to all triangles' planes that lie in front of them.
     fn holds(cage: &Cage, samples: &[[f32; 3]]) -> bool {
         let mut weights = vec![0.0; cage.vertices.len()];
         let mut view = SeenCage::default();
@@ -327,7 +328,7 @@ mod tests {
         };
         let volumes = [6, 38, 146, 402].map(volume);
         assert!(volumes.is_sorted_by(|a, b| a > b), "{volumes:?}");
-        // Of the surface itself it is about 0.4, with the margin 0.47.
+        // The volume of the surface itself is about 0.4, with the margin 0.47.
         assert!(volumes[3] < 0.7, "{volumes:?}");
     }
 

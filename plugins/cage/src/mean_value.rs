@@ -1,7 +1,7 @@
 //! Mean value coordinates of a closed triangle mesh.
 //!
-//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. What
-//! each triangle gives is the integral of its corners' hat functions over its picture on the unit sphere
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. The
+//! share of each triangle is the integral of its corners' hat functions over its picture on the unit sphere
 //! about the point, by the *mean vector* of that picture (section 3.1 there). In double precision.
 
 use crate::mesh::Cage;
@@ -9,24 +9,25 @@ use glam::DVec3;
 use pulp::{Simd, WithSimd};
 use std::f64::consts::PI;
 
-/// Nearer to a vertex than this, in radii of the cage, points are that vertex.
+/// Distance to a vertex below which a point is that vertex, in radii of the cage.
 const AT_VERTEX: f64 = 1e-12;
-/// Where the sine of the angle at which an edge is seen is less than this, and the angle wide, the point lies
-/// on the edge.
+/// Sine of the angle at which an edge is seen below which, if the angle is wide, the point lies on the
+/// edge.
 const ON_EDGE: f64 = 1e-7;
-/// Where a triangle's picture has a smaller volume with the point than this times the square root of the
-/// shortest edge (as a sine) of the picture, the point lies on the triangle, or in its plane beside it. What
-/// such a triangle gives is in proportion to the volume by the edge, and its rounding to 1e-16 by the volume:
-/// here both are alike.
+/// Factor of the least volume of a triangle's picture with the point: where the volume is smaller than this
+/// factor times the square root of the shortest edge (as a sine) of the picture, the point lies on the
+/// triangle, or in its plane beside it. The share of such a triangle is in proportion to the volume by the
+/// edge, and its rounding to 1e-16 by the volume: here both are alike.
 const IN_PLANE: f64 = 1e-8;
-/// Farther away from the centre than this, in radii of the cage, points have the coordinates of those at that
-/// distance: triangles that face each other take each other away, until nothing is left but rounding.
+/// Distance from the centre, in radii of the cage, from which on points have the coordinates of those at
+/// that distance: farther away, triangles that face each other cancel, until nothing is left but rounding.
 const FAR: f64 = 100.0;
 
-/// Coordinates that give a point back to within this, in radii of the cage, are left as they are.
+/// Distance, in radii of the cage, within which coordinates have to give a point back, to be left as they
+/// are.
 const GIVEN_BACK: f64 = 1e-11;
 
-/// What is known of the vertices and edges as seen from a point; memory to keep from point to point.
+/// Vertices and edges as seen from a point; memory to keep from point to point.
 #[derive(Debug, Default)]
 pub struct SeenCage {
     /// Unit vectors to the vertices.
@@ -35,13 +36,13 @@ pub struct SeenCage {
     near: Vec<f64>,
     /// The cross product, for each edge, of the directions of both ends.
     normals: Vec<DVec3>,
-    /// The angle of each edge by the angle's sine; endless where it is a half turn.
+    /// Ratio of each edge's angle to the angle's sine; infinite for a half turn.
     ratios: Vec<f64>,
 }
 
 impl Cage {
     /// Writes the coordinates of a point, one for each vertex: they sum to 1, and `Σ λ_i p_i` is the point,
-    /// inside and outside. Says whether the point lies outside.
+    /// inside and outside. Returns whether the point lies outside.
     pub fn coordinates(&self, x: DVec3, view: &mut SeenCage, out: &mut [f64]) -> bool {
         let from_centre = x - self.centre;
         let shorter = FAR * self.radius / from_centre.length();
@@ -88,9 +89,9 @@ impl Cage {
         total < 0.0
     }
 
-    /// Corrects coordinates that sum to 1 by as little as it takes (in the sum of squares) for `Σ λ_i p_i` to
-    /// be the point. There is something to correct close to the plane of a triangle, above all far away,
-    /// where what triangles give cancels.
+    /// Corrects coordinates that sum to 1 by the least change (in the sum of squares) by which `Σ λ_i p_i`
+    /// is the point. A correction is needed close to the plane of a triangle, above all far away, where the
+    /// triangles' shares cancel.
     fn give_back(&self, x: DVec3, out: &mut [f64]) {
         let mean: DVec3 = out.iter().zip(&self.vertices).map(|(w, p)| *w * (*p - self.mean)).sum();
         let off = x - self.mean - mean;
@@ -104,7 +105,7 @@ impl Cage {
     /// point and the edge opposite to it.
     fn on_face(corners: [usize; 3], view: &SeenCage, normals: [DVec3; 3], out: &mut [f64]) {
         out.fill(0.0);
-        // By the product of the three distances.
+        // Areas are divided by the product of the three distances.
         let areas: [f64; 3] = std::array::from_fn(|i| normals[i].length() * view.near[corners[i]]);
         let total: f64 = areas.iter().sum();
         corners.into_iter().zip(areas).for_each(|(v, area)| out[v] = area / total);
@@ -120,8 +121,8 @@ fn is_over(normals: [DVec3; 3], ratios: [f64; 3]) -> bool {
 }
 
 impl SeenCage {
-    /// Sees the edges between the directions. Here goes the time: an arctangent an edge would take three
-    /// times as long as [`RATIO`].
+    /// Computes the cross products and ratios of the edges between the directions. This takes most of the
+    /// time: an arctangent for each edge would take three times as long as [`RATIO`].
     fn see_edges(&mut self, edges: &[[usize; 2]]) {
         let Self { directions, normals, ratios, .. } = self;
         normals.clear();
@@ -134,7 +135,7 @@ impl SeenCage {
         pulp::Arch::new().dispatch(Ratios(ratios));
         for ([a, b], (ratio, normal)) in edges.iter().zip(ratios.iter_mut().zip(&*normals)) {
             if directions[*a].dot(directions[*b]) < 0.0 {
-                // The rest to a half turn was looked at.
+                // The edge's supplement to a half turn was looked up.
                 let sine = normal.length();
                 *ratio = if sine < ON_EDGE { f64::INFINITY } else { PI / sine - *ratio };
             }
@@ -142,8 +143,8 @@ impl SeenCage {
     }
 }
 
-/// Angles by their sines, for cosines from 0 to 1: powers of twice the cosine less 1, interpolated in
-/// Chebyshev's points, to 2e-16.
+/// Ratios of angles to their sines, for cosines from 0 to 1: coefficients of powers of twice the cosine
+/// less 1, interpolated in Chebyshev's points, to 2e-16.
 const RATIO: [f64; 21] = [
     1.2091995761561452,
     -0.2636001412812842,
@@ -168,7 +169,7 @@ const RATIO: [f64; 21] = [
     1.155596335517553e-10,
 ];
 
-/// Makes ratios of cosines, of those below 0 as if they were above.
+/// Turns cosines into ratios, those below 0 as if they were above.
 struct Ratios<'a>(&'a mut [f64]);
 
 impl WithSimd for Ratios<'_> {
@@ -186,7 +187,7 @@ impl WithSimd for Ratios<'_> {
     }
 }
 
-/// By Horner's rule.
+/// Value of a polynomial, by Horner's rule.
 #[inline(always)]
 fn ratio<S: Simd>(simd: S, cosines: S::f64s) -> S::f64s {
     let x = simd.mul_add_f64s(simd.splat_f64s(2.0), simd.abs_f64s(cosines), simd.splat_f64s(-1.0));
@@ -226,7 +227,7 @@ mod tests {
         (out, outside)
     }
 
-    /// How far the coordinates of a point are from giving it back.
+    /// Distance of a point from the one that its coordinates give back, or their sum's from 1.
     fn miss(cage: &Cage, x: DVec3) -> f64 {
         let (weights, _) = coordinates_at(cage, x);
         let sum: f64 = weights.iter().sum();
@@ -234,7 +235,7 @@ mod tests {
         (sum - 1.0).abs().max(mean.distance(x))
     }
 
-    /// `tests/reference/cage.py` says where the numbers come from.
+    /// The expected numbers are explained in `tests/reference/cage.py`.
     #[test]
     fn coordinates_are_those_of_the_reference() {
         let cage = dented();
@@ -269,8 +270,8 @@ mod tests {
             prop_assert!(size > 1.0 || weights.iter().all(|w| *w > 0.0));
         }
 
-        /// As near to a vertex, an edge, a face or the plane of one as it gets, without a step but for
-        /// rounding, which is most where triangles are seen as lines.
+        /// Points as near to a vertex, an edge, a face or the plane of one as can be have the right
+        /// coordinates, without a step but for rounding, which is most where triangles are seen as lines.
         #[test]
         fn the_surface_is_no_exception(
             triangle in 0..72_usize, u in 0.0..1.0_f64, v in 0.0..1.0_f64, kind in 0..4,

@@ -1,20 +1,19 @@
-//! A cage: a closed surface of triangles, and where it may come from a file.
+//! A cage: a closed surface of triangles, and its reading from a file.
 
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Volumes below this part of the box' cube are those of flat cages.
+/// Volume, as a part of the box' cube, below which a cage is flat.
 const FLAT: f64 = 1e-9;
 
 /// A triangle of a cage.
 #[derive(Debug, Clone, Copy)]
 pub struct CageTriangle {
-    /// Counter-clockwise as seen from outside.
+    /// Corners, counter-clockwise as seen from outside.
     pub corners: [usize; 3],
-    /// The edge opposite to each corner, and whether it runs there as it does by itself (1), or the other way
-    /// (-1).
+    /// Edge opposite to each corner, and its direction there: the edge's own (1), or the other one (-1).
     pub edges: [(usize, f64); 3],
 }
 
@@ -23,9 +22,9 @@ pub struct CageTriangle {
 pub struct Cage {
     pub vertices: Vec<DVec3>,
     pub triangles: Vec<CageTriangle>,
-    /// The polygons that the triangles are parts of, as they are to be seen.
+    /// Polygons that are shown, of which the triangles are parts.
     pub faces: Vec<Vec<u32>>,
-    /// The vertices at both ends.
+    /// Vertices at both ends of each edge.
     pub edges: Vec<[usize; 2]>,
     /// The middle of the vertices' box.
     pub centre: DVec3,
@@ -91,14 +90,14 @@ impl Cage {
         }
     }
 
-    /// This cage, of which these polygons are to be seen.
+    /// The same cage with other polygons to be shown.
     pub fn with_faces(self, faces: Vec<Vec<u32>>) -> Self {
         Self { faces, ..self }
     }
 
     /// Finds the edges.
     fn connect(&mut self, corners: &[[usize; 3]]) -> PluginResult<()> {
-        // For each edge, how many triangles run along it, and how many against it.
+        // The table has, for each edge, the number of triangles that run along it, and against it.
         let mut known: HashMap<[usize; 2], (usize, [usize; 2])> = HashMap::new();
         for corners in corners {
             let mut edges = [(0, 1.0); 3];
@@ -168,7 +167,7 @@ impl Cage {
     }
 }
 
-/// A face's corner, as `7`, `7/2/5` or `-1`, which is the last vertex so far.
+/// Corner of a face, as `7`, `7/2/5` or `-1`, which is the last vertex so far.
 fn corner(word: &str, vertices: usize) -> Option<usize> {
     let number: i64 = word.split('/').next()?.parse().ok()?;
     let index = if number < 0 { vertices as i64 + number } else { number - 1 };
@@ -205,7 +204,7 @@ mod tests {
         let cage = read(&format!("{VERTICES}f 1 3 2\nf 1//1 2//1 4//1\nf -2 4 2\nf 1/7 4/8/9 3")).unwrap();
         assert_eq!((cage.vertices.len(), cage.triangles.len(), cage.edges.len()), (4, 4, 6));
         assert_eq!(cage.vertices[2], DVec3::Y);
-        // Turned inside out it is the same.
+        // The cage turned inside out is the same.
         let turned = read(&format!("{VERTICES}f 2 3 1\nf 4 2 1\nf 2 4 3\nf 3 4 1")).unwrap();
         let out = |c: &Cage| {
             c.triangles.iter().all(|t| {

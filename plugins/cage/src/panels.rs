@@ -1,4 +1,4 @@
-//! What a flat triangle of a cage gives to a point by the fundamental solution of linear elasticity, in
+//! Contributions of a cage's flat triangle to a point by the fundamental solution of linear elasticity, in
 //! closed form.
 //!
 //! The integrals over a triangle of the tractions of Kelvin's solution, with the corners' hat functions, as
@@ -11,19 +11,19 @@ use crate::mesh::Cage;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;
 
-/// Nearer to the line of an edge than this, in radii of the cage, points are as far as this: the integrals
-/// are finite.
+/// Distance to the line of an edge, in radii of the cage, that nearer points are taken to have: the
+/// integrals are finite.
 const ON_LINE: f64 = 1e-12;
 
-/// A triangle of a cage, with what does not depend on the point.
+/// Triangle of a cage, with all that does not depend on the point.
 #[derive(Debug, Clone)]
 pub struct Panel {
     pub corners: [usize; 3],
-    /// Outward.
+    /// Outward unit normal.
     pub normal: DVec3,
-    /// Gradients of the corners' hat functions: by length.
+    /// Gradients of the corners' hat functions, in inverse lengths.
     pub gradients: [DVec3; 3],
-    /// Between the edges, in radians.
+    /// Angles between the edges, in radians.
     pub corner_angles: [f64; 3],
     edges: [usize; 3],
     /// Two axes in the plane, and the normal.
@@ -31,7 +31,7 @@ pub struct Panel {
     /// The direction out of each edge, in the plane.
     across: [DVec2; 3],
     along: [DVec2; 3],
-    /// One by the height of each corner over its edge.
+    /// Inverse of the height of each corner over its edge.
     over_heights: [f64; 3],
 }
 
@@ -51,13 +51,13 @@ struct EdgeIntegrals {
 }
 
 impl EdgeIntegrals {
-    /// Between two ends as seen from the point; `least` is the least square of a distance.
+    /// Integrals between two ends as seen from the point; `least` is the least square of a distance.
     fn new([a, b]: [DVec3; 2], [ra, rb]: [f64; 2], least: f64) -> Self {
         let length = a.distance(b);
         let direction = (b - a) / length;
         let (sa, sb) = (a.dot(direction), b.dot(direction));
         let square = a.cross(direction).length_squared().max(least);
-        // Where both ends lie on one side, nothing cancels.
+        // With both ends on one side, nothing cancels.
         let one_side = (sb * sb - sa * sa) / (ra * rb * (sb * ra + sa * rb));
         let (log, cubed) = if sa >= 0.0 {
             (((sb + rb) / (sa + ra)).ln(), one_side)
@@ -76,7 +76,7 @@ impl EdgeIntegrals {
     }
 }
 
-/// What is known of vertices and edges as seen from a point; memory to keep from point to point.
+/// Vertices and edges as seen from a point; memory to keep from point to point.
 #[derive(Debug, Default)]
 pub struct Sight {
     vectors: Vec<DVec3>,
@@ -85,7 +85,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// Looks at the cage from a point.
+    /// Computes the vectors, distances and integrals as seen from a point.
     pub fn look(&mut self, x: DVec3, cage: &Cage) {
         let nearest = ON_LINE * cage.radius;
         self.vectors.clear();
@@ -104,7 +104,7 @@ impl Sight {
     }
 }
 
-/// A symmetric product in the plane.
+/// Symmetric product of two vectors in the plane.
 fn symmetric(a: DVec2, b: DVec2) -> DMat2 {
     outer(a, b) + outer(b, a)
 }
@@ -114,7 +114,7 @@ fn outer(a: DVec2, b: DVec2) -> DMat2 {
 }
 
 impl Panel {
-    /// The triangles of a cage; those without an area, which give nothing, are left out.
+    /// Triangles of a cage; those without an area, which contribute nothing, are left out.
     pub fn all(cage: &Cage) -> Vec<Self> {
         cage.triangles
             .iter()
@@ -159,7 +159,7 @@ impl Panel {
         [self.axes.x_axis, self.axes.y_axis]
     }
 
-    /// The angle at which the triangle is seen, as a part of the whole sphere: positive from within (A. van
+    /// Angle at which the triangle is seen, as a part of the whole sphere: positive from within (A. van
     /// Oosterom, J. Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30, 1983).
     pub fn angle(&self, sight: &Sight) -> f64 {
         let [a, b, c] = self.corners.map(|v| sight.vectors[v]);
@@ -168,13 +168,13 @@ impl Panel {
         2.0 * a.cross(b).dot(c).atan2(below) / (4.0 * PI)
     }
 
-    /// How far the plane is from the point that is looked from; positive from within.
+    /// Distance of the triangle's plane from the point of view; positive from within.
     pub fn distance(&self, sight: &Sight) -> f64 {
         sight.vectors[self.corners[0]].dot(self.normal)
     }
 
-    /// What a displacement of each corner moves the point by that is looked from, at a Poisson's ratio, and
-    /// the corner's share of `angle`, the one at which the triangle is seen.
+    /// Displacement of the point of view for a displacement of each corner, as a matrix, at a Poisson's
+    /// ratio; and the corner's share of `angle`, at which the triangle is seen.
     pub fn weights(&self, sight: &Sight, angle: f64, poisson: f64) -> [(DMat3, f64); 3] {
         let (d, omega) = (self.distance(sight), 4.0 * PI * angle);
         let heights = self.heights(sight);
@@ -202,9 +202,10 @@ impl Panel {
         std::array::from_fn(|k| {
             // The hat function is `alpha + g ρ`.
             let (alpha, g) = (self.over_heights[k] * heights[k], -self.over_heights[k] * self.across[k]);
-            // With it, `∫ r/r³`, of which the part along the normal is by `d` an angle.
+            // The integrals with the hat function: `∫ r/r³`, of which the part along the normal is by `d`
+            // an angle.
             let (u, up) = (third * g - alpha * a, alpha * omega - d * g.dot(a));
-            // And `3d ∫ rrᵀ/r⁵`.
+            // The same of `3d ∫ rrᵀ/r⁵`.
             let cubes = (0..3).fold(symmetric(g, a), |sum, i| sum + g.dot(self.across[i]) * squares[i]);
             let block = alpha * fifth - d * cubes;
             let side = d * (fifth * g - alpha * d * m);
@@ -218,7 +219,7 @@ impl Panel {
         })
     }
 
-    /// How far the edges are from the point, in the plane and across them.
+    /// Signed distances of the edges' lines from the point, in the plane.
     fn heights(&self, sight: &Sight) -> [f64; 3] {
         std::array::from_fn(|i| {
             let r = sight.vectors[self.corners[(i + 1) % 3]];
@@ -250,7 +251,7 @@ impl Panel {
 mod tests {
     use super::*;
 
-    /// Against sums over many small triangles, from points that are not near.
+    /// The closed forms agree with sums over many small triangles, from points that are not near.
     #[test]
     fn weights_are_the_integrals() {
         let corners = [DVec3::new(0.1, -0.2, 0.3), DVec3::new(1.2, 0.1, -0.1), DVec3::new(0.4, 0.9, 0.5)];

@@ -1,17 +1,17 @@
 //! Coordinates of a closed cage that come from linear elasticity, and keep the shape of details.
 //!
 //! After J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates: an elasticity-derived approach for cage
-//! deformation*, SIGGRAPH 2023: by Somigliana's identity, what a body does at a point follows from the
-//! displacements of its boundary, by a matrix for each vertex, and from the tractions there. Elasticity is
-//! linear in a frame that goes along with the cage around the point: the similarity that is nearest to what
-//! the faces at each vertex do, by the angle at which the point sees them. Displacements are what is left in
-//! that frame.
+//! deformation*, SIGGRAPH 2023: by Somigliana's identity, the displacement of a body at a point follows
+//! from the displacements of its boundary, by a matrix for each vertex, and from the tractions there.
+//! Elasticity is linear in a frame that goes along with the cage around the point: the similarity that is
+//! nearest to the maps of the faces at each vertex, weighted by the angle at which the point sees them.
+//! Displacements are relative to that frame.
 //!
-//! The method differs from the paper in what tractions are taken. Nobody knows them, and those that follow
+//! The method differs from the paper in the choice of tractions. Nobody knows them, and those that follow
 //! from each face's stretch, rotated along, are wrong by the moduli where materials are nearly
-//! incompressible; here there are none in the frame, which needs no modulus, and half of the memory. And what
-//! stretch the cage has as a whole belongs to the frame, so that not only similarities but all affine maps
-//! come back.
+//! incompressible; here there are no tractions in the frame, which needs no modulus, and half of the
+//! memory. And the stretch that the cage has as a whole belongs to the frame, so that not only similarities
+//! but all affine maps come back.
 
 use crate::mesh::Cage;
 use crate::panels::{Panel, Sight};
@@ -22,15 +22,15 @@ use simod_plugin_api::{Host, PluginResult};
 use std::array::from_fn;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Samples whose coordinates lie together.
+/// Number of samples whose coordinates lie together.
 pub const TILE: usize = 64;
-/// Points that are nearer to the surface than this, in radii of the cage, or outside, have the coordinates of
-/// a point within by what is nearest of it.
+/// Distance to the surface, in radii of the cage, below which a point has the coordinates of a point
+/// within, next to the nearest one of the surface; so has a point outside.
 const SKIN: f64 = 1e-5;
-/// How deep that one is below its face, in radii.
+/// Depth of that point below its face, in radii of the cage.
 const DEPTH: f64 = 1e-6;
-/// How far it is from the edge, as a part of the way to the face's centre: beyond an edge another face may be
-/// near.
+/// Way of that point from the edge, as a part of the way to the face's centre: beyond an edge another face
+/// may be near.
 const ASIDE: f64 = 1e-3;
 
 /// A cage and its material.
@@ -51,7 +51,7 @@ pub struct Coordinates {
     angles: Vec<f64>,
 }
 
-/// Numbers of each sample for each vertex.
+/// Number of entries of each sample for each vertex.
 pub const NUMBERS: usize = 10;
 
 impl CageBody {
@@ -60,12 +60,12 @@ impl CageBody {
         Self { panels: Panel::all(cage), poisson }
     }
 
-    /// How the cage was moved.
+    /// Pose of the cage with these displacements of its vertices.
     pub fn pose(&self, cage: &Cage, displacements: &[DVec3]) -> MovedCage {
         MovedCage::new(cage, &self.panels, displacements)
     }
 
-    /// Finds the coordinates of a point. Says whether it lies outside.
+    /// Computes the coordinates of a point. Returns whether the point lies outside.
     pub fn coordinates(&self, cage: &Cage, x: DVec3, out: &mut Coordinates) -> bool {
         let skin = SKIN * cage.radius;
         let total = self.look(cage, x, out);
@@ -90,7 +90,7 @@ impl CageBody {
         is_outside
     }
 
-    /// The angles of the faces from a point, and their sum.
+    /// Computes the angles of the faces from a point, and returns their sum.
     fn look(&self, cage: &Cage, x: DVec3, out: &mut Coordinates) -> f64 {
         out.sight.look(x, cage);
         out.angles.clear();
@@ -98,7 +98,7 @@ impl CageBody {
         out.angles.iter().sum()
     }
 
-    /// How far the surface is, and a point just below what is nearest of it.
+    /// Distance of the surface, and a point just below the nearest one of the surface.
     fn within(&self, cage: &Cage, x: DVec3) -> (f64, DVec3) {
         let mut best = (f64::INFINITY, x);
         for panel in &self.panels {
@@ -112,8 +112,8 @@ impl CageBody {
         best
     }
 
-    /// The table of coordinates: tile by tile, for each vertex rows of its matrix' nine entries, row by row,
-    /// and then for each of its share. With it how many samples lie outside.
+    /// Table of coordinates: tile by tile, for each vertex rows of its matrix' nine entries, row by row,
+    /// and then a row of its shares. Returned with the number of samples that lie outside.
     pub fn tabulate(
         &self,
         cage: &Cage,
@@ -125,7 +125,7 @@ impl CageBody {
         let outside = AtomicUsize::new(0);
         host.parallel_blocks(&mut table, size, |first, tile| {
             let first = first / size * TILE;
-            // Whether to go on is looked after by whoever hands out the blocks.
+            // The wish to stop is looked after by the code that hands out the blocks.
             let _ = host.progress(first as f64 / samples.len() as f64);
             let mut found = Coordinates::default();
             for (i, p) in samples[first..].iter().take(TILE).enumerate() {
@@ -141,7 +141,7 @@ impl CageBody {
 }
 
 impl Coordinates {
-    /// Where a point goes that has these coordinates.
+    /// Image of the point with these coordinates.
     pub fn apply(&self, cage: &Cage, pose: &MovedCage, x: DVec3) -> DVec3 {
         let sum =
             self.shares.iter().zip(&pose.maps).fold(DMat3::ZERO, |sum, (share, map)| sum + *map * *share);
@@ -155,7 +155,7 @@ impl Coordinates {
     }
 }
 
-/// Where the samples of a tile go; those behind the last one are left out.
+/// Moves the samples of a tile; places in the tile behind the last sample are left out.
 pub fn deform(cage: &Cage, pose: &MovedCage, table: &[f32], samples: &[[f32; 3]], out: &mut [[f32; 3]]) {
     Arch::new().dispatch(TileDeformation { cage, pose, table, samples, out });
 }
@@ -176,7 +176,7 @@ impl WithSimd for TileDeformation<'_> {
         // Plain loops, which the compiler makes vectors of; the same numbers come out of any.
         let Self { cage, pose, table, samples, out } = self;
         let (vertices, shares) = table.split_at(9 * TILE * pose.vertices.len());
-        // Nine entries, and the scale.
+        // There are nine entries of the map, and the scale.
         let mut maps = [[0.0; TILE]; 10];
         for (row, (map, scale)) in shares.chunks_exact(TILE).zip(pose.maps.iter().zip(&pose.scales)) {
             let entries = map.to_cols_array().into_iter().chain([*scale]);
@@ -187,7 +187,7 @@ impl WithSimd for TileDeformation<'_> {
             }
         }
         let mut frames = [DMat3::IDENTITY; TILE];
-        // Row by row.
+        // The inverse frame is stored row by row.
         let mut back = [[0.0; TILE]; 9];
         for i in 0..samples.len() {
             frames[i] = pose.frame(DMat3::from_cols_array(&from_fn(|k| maps[k][i])), maps[9][i]);
@@ -259,8 +259,8 @@ mod tests {
         if p.x.abs() < 0.2 && p.y > 0.0 && p.z.abs() < 0.1 { p + 0.3 * DVec3::Y } else { p }
     }
 
-    /// How a map distorts the bar: the changes of volume, in the mean and as a root mean square, and how far
-    /// it is from a similarity in the mean, by the squares of its stretches: 0 where angles are kept.
+    /// Distortion of the bar by a map: the changes of volume, in the mean and as a root mean square, and
+    /// the mean distance from a similarity, by the squares of the map's stretches: 0 where angles are kept.
     fn distortion(mut map: impl FnMut(DVec3) -> DVec3) -> [f64; 3] {
         const POINTS: usize = 300;
         const STEP: f64 = 1e-4;
@@ -295,7 +295,7 @@ mod tests {
         [mean_value, somigliana]
     }
 
-    /// What the method is for: `docs/methods.md` has the figures.
+    /// Purpose of the method: `docs/methods.md` has the figures.
     #[test]
     fn volume_and_details_are_kept_better_than_by_mean_values() {
         let maps: [fn(DVec3) -> DVec3; 3] = [bend, twist, draw];
@@ -320,8 +320,8 @@ mod tests {
         found
     }
 
-    /// How far coordinates are from giving affine maps back, each by itself: those of the identity in the sum
-    /// of both.
+    /// Error in giving back the identity: of the sum of the vertices' matrices, which has to be the identity,
+    /// or of that of the shares, which has to be 1.
     fn miss(found: &Coordinates) -> f64 {
         let sum = found.vertices.iter().fold(-DMat3::IDENTITY, |sum, w| sum + *w);
         let shares: f64 = found.shares.iter().sum();
@@ -331,9 +331,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Somigliana's identity: with the displacements of an affine map and its tractions the map comes
-        /// back. Of a turn about no axis but by a matrix that is not symmetric, as of any other one,
-        /// tractions are those of the symmetric part; so here is one that has none.
+        /// An affine map without tractions comes back by its displacements alone: Somigliana's identity gives
+        /// any affine map back by its displacements and tractions, and these follow from the symmetric part
+        /// of the map's matrix. So the map `spin ×`, whose matrix is antisymmetric, has no tractions.
         #[test]
         fn what_makes_no_traction_comes_back(
             x in prop::array::uniform3(-0.4..0.4_f64), spin in prop::array::uniform3(-1.0..1.0_f64), poisson in -0.9..0.49_f64,
@@ -346,7 +346,8 @@ mod tests {
             prop_assert!(sum.distance(spin.cross(x)) < 1e-10 && miss(&found) < 1e-10, "{x} {poisson}");
         }
 
-        /// As near to a vertex, an edge or a face as it gets, on both sides of it.
+        /// Points as near to a vertex, an edge or a face as can be, on both sides of it, have the right
+        /// coordinates.
         #[test]
         fn the_surface_is_no_exception(
             triangle in 0..72_usize, u in 0.0..1.0_f64, v in 0.0..1.0_f64, kind in 0..3, nearness in 1.0..17.0_f64,
@@ -369,7 +370,7 @@ mod tests {
             prop_assert!(gap < 3e-3 + 30.0 * 10_f64.powf(-nearness), "{gap} at 1e-{nearness}");
         }
 
-        /// Whatever the vertices do: flat, mirrored, in one point.
+        /// Samples stay finite whatever the vertices do: flat, mirrored, in one point.
         #[test]
         fn all_poses_have_finite_places(
             to in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 38),

@@ -12,11 +12,11 @@ use simod_plugin_api::{Host, PluginResult};
 /// Sums of so many samples that lie together, axis by axis.
 type TileSums = [[f64; TILE]; 3];
 
-/// Terms are multiples of this, in local coordinates, whose unit is about the model's size.
+/// Quantum of which terms are multiples, in local coordinates, whose unit is about the model's size.
 const QUANTUM: f64 = 1.0 / (1_u64 << 34) as f64;
-/// Sums of absolute displacements up to this are exact, with coordinates of up to some hundreds.
+/// Greatest sum of absolute displacements that is exact, with coordinates of up to some hundreds.
 const LARGEST: f64 = 1024.0;
-/// Adding and subtracting it rounds to multiples of the quantum.
+/// Number whose addition and subtraction rounds to multiples of the quantum.
 const ROUNDER: f64 = 1.5 * (1_u64 << 52) as f64 * QUANTUM;
 
 /// Sums for the displacements that were given last.
@@ -28,13 +28,13 @@ pub struct CageSums {
 }
 
 impl CageSums {
-    /// Tile by tile.
+    /// Sums of all samples, tile by tile.
     pub fn all(&self) -> &[TileSums] {
         &self.tiles
     }
 
-    /// Brings them up to date for a state's table (tile by tile, vertex by vertex, sample by sample) and the
-    /// vertices' displacements.
+    /// Brings the sums up to date for a state's table (tile by tile, vertex by vertex, sample by sample)
+    /// and the vertices' displacements.
     pub fn update(
         &mut self,
         state: u64,
@@ -44,13 +44,13 @@ impl CageSums {
     ) -> PluginResult<()> {
         let vertices = displacements.len();
         let count = table.len() / (TILE * vertices).max(1);
-        // A failure leaves nothing half done.
+        // The displacements are taken out, so that a failure leaves nothing half done.
         let known = std::mem::take(&mut self.displacements);
         let is_exact = |d: &[DVec3]| d.iter().map(|d| d.abs().max_element()).sum::<f64>() <= LARGEST;
         let is_known = self.state == state && known.len() == vertices && self.tiles.len() == count;
         let moved = displacements.iter().filter(|d| **d != DVec3::ZERO).count();
         let changed = known.iter().zip(displacements).filter(|(a, b)| a != b).count();
-        // Two terms for each that changed.
+        // Each change takes two terms.
         let goes_on = is_known && is_exact(&known) && is_exact(displacements) && 2 * changed < moved;
         if !goes_on {
             self.tiles.clear();
@@ -60,7 +60,7 @@ impl CageSums {
         for (v, d) in displacements.iter().enumerate() {
             let before = if goes_on { known[v] } else { DVec3::ZERO };
             if before != *d {
-                // Each rounded by itself, as its sum has to be again what it was.
+                // Both terms are rounded by themselves, as their sum has to be again what it was.
                 terms.extend([(v, -before), (v, *d)].into_iter().filter(|(_, d)| *d != DVec3::ZERO));
             }
         }
@@ -132,7 +132,7 @@ mod tests {
                 assert!((kept.all()[tile][0][at] - exact).abs() < 1e-8, "frame {frame}");
             }
         }
-        // Another state knows nothing of it.
+        // The sums of another state know nothing of this one.
         kept.update(2, &table, &vec![DVec3::ZERO; VERTICES], &host).unwrap();
         assert!(kept.all().iter().flatten().flatten().all(|x| *x == 0.0));
     }

@@ -60,7 +60,7 @@ impl Setup {
             Param::text("coordinates", ParamKind::CHOICE, self.coordinates),
             Param::numbers("poisson", ParamKind::FLOAT, &poisson),
         ];
-        // So that the file's origin lies where it is wanted.
+        // The frame puts the file's origin where the test wants it.
         let frame = ModelFrame { origin: self.origin.map(|x| -x), scale: 1.0 };
         let samples = Samples::new(&self.samples, &[], &[]);
         call(&PrepareInput::new(samples, BOUNDS, &[], &params).with_parts(&[Part::new(&frame)]))
@@ -98,7 +98,7 @@ fn cages() -> [Setup; 3] {
     [Setup::new("hull"), Setup::new("box"), Setup::of_file("cage.obj", [0.1, 0.0, -0.1])]
 }
 
-/// With all kinds of coordinates.
+/// Set-ups with all kinds of coordinates.
 fn all() -> Vec<Setup> {
     let elastic =
         cages().into_iter().zip([0.0, 0.45, -0.5]).map(|(setup, poisson)| setup.somigliana(poisson));
@@ -109,7 +109,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     DVec3::from(a).distance(b.into())
 }
 
-/// Each vertex elsewhere.
+/// A motion of each vertex to somewhere else.
 fn wild(handle: &HandleDesc) -> Affine {
     let [x, y, z] = handle.position;
     let by = [0.2 * (9.0 * y).sin(), 0.15 * (7.0 * z + x).cos(), 0.1 * (5.0 * x - y).sin()];
@@ -154,7 +154,7 @@ fn handles_are_the_vertices_in_their_order() {
             handle.id == i.to_string() && distance(handle.position, [p[0] + 0.1, p[1], p[2] - 0.1]) < 1e-15
         );
     }
-    // A vertex takes along what is near, more than what is far.
+    // A vertex takes near samples along more than far ones.
     let setup = Setup::new("hull");
     let state = setup.prepare();
     let handles = setup.with(|input| CagePlugin::handles(input, &Host::new(&()))).unwrap();
@@ -193,7 +193,7 @@ proptest! {
     }
 }
 
-/// What a host hears; and whether it lets the plugin go on.
+/// Host that keeps the lines that it hears, and stops the plugin if asked to.
 #[derive(Default)]
 struct Listener {
     lines: Mutex<Vec<String>>,

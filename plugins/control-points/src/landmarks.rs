@@ -1,4 +1,4 @@
-//! Landmarks in a file: where they are, and where they belong.
+//! Landmarks in a file: their places on the model, and their places in the result.
 
 use glam::DVec3;
 use std::collections::HashMap;
@@ -8,7 +8,7 @@ use std::path::Path;
 const MOST_BYTES: u64 = 16 << 20;
 /// Most landmarks: splines take the cube of their number.
 pub const MOST: usize = 4000;
-/// Weights of landmarks that are no checks: of others, no sums would be left.
+/// Weights of landmarks that are no checks: other weights would leave no sums.
 const WEIGHTS: std::ops::RangeInclusive<f64> = 1e-30..=1e30;
 /// Characters of a name that are told.
 const LONGEST: usize = 60;
@@ -19,19 +19,19 @@ pub struct Landmark {
     pub name: String,
     pub source: DVec3,
     pub target: DVec3,
-    /// How much it counts; one of 0 is a check, and does not take part.
+    /// Weight of the landmark; a landmark of weight 0 is a check, and does not take part.
     pub weight: f64,
     /// The line of the file, from 1 on.
     pub line: usize,
 }
 
-/// The defect of a file with landmarks, and its line, where it is in one.
+/// Defect of a file with landmarks, with its line, where it is in one.
 pub type BadLandmarks = (Option<usize>, String);
 
-/// The landmarks of a file, in its coordinates.
+/// Landmarks of a file, in the file's coordinates.
 ///
 /// # Errors
-/// The file cannot be read, or a line is not what it should be.
+/// The file cannot be read, or a line is no landmark.
 pub fn read(path: &Path) -> Result<Vec<Landmark>, BadLandmarks> {
     let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
     if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {
@@ -42,9 +42,9 @@ pub fn read(path: &Path) -> Result<Vec<Landmark>, BadLandmarks> {
     parse(text.trim_start_matches('\u{feff}'))
 }
 
-/// A line for each: a name, three numbers of the source, three of the target, and maybe a weight, separated
-/// by commas, semicolons or tabs. A first line whose fields are no numbers is a heading; empty lines, and
-/// those that begin with `#`, are passed over.
+/// Landmarks of a text, a line for each: a name, three numbers of the source, three of the target, and
+/// maybe a weight, separated by commas, semicolons or tabs. A first line whose fields are no numbers is a
+/// heading; empty lines, and those that begin with `#`, are passed over.
 fn parse(text: &str) -> Result<Vec<Landmark>, BadLandmarks> {
     let mut landmarks: Vec<Landmark> = Vec::new();
     let mut lines: HashMap<String, usize> = HashMap::new();
@@ -104,7 +104,7 @@ fn landmark(fields: &[String], line: usize) -> Result<Landmark, String> {
     })
 }
 
-/// A line's fields, of which some may be in quotes.
+/// Fields of a line, some of which may be in quotes.
 fn fields(line: &str) -> Vec<String> {
     let separator = [';', '\t', ','].into_iter().find(|s| line.contains(*s)).unwrap_or(',');
     let (mut fields, mut is_quoted) = (vec![String::new()], false);

@@ -1,8 +1,8 @@
-//! Deformation by landmarks: points of the model of which it is known where they belong, in a file.
+//! Deformation by landmarks: points of the model whose places in the result are known, in a file.
 //!
-//! Five maps (`map`), from a translation to a thin-plate spline, which meets all landmarks; a report of how
-//! well each landmark is met, and how well the others foretell it (`report`). Closed forms, which any point
-//! goes through: the samples are of no account.
+//! Five maps (`map`), from a translation to a thin-plate spline, which meets all landmarks; a report of the
+//! errors at the landmarks, with all of them and with each left out (`report`). Closed forms, which apply
+//! to any point: the maps do not depend on the samples.
 
 mod landmarks;
 mod map;
@@ -18,28 +18,29 @@ use simod_plugin_api::{
 };
 use std::path::Path;
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 1024;
-/// Landmarks that lie farther from the model than this, in units of its diagonal, are told.
+/// Distance of a landmark from the model, in units of its diagonal, beyond which the user is warned.
 const FAR: f64 = 1.0;
-/// Beyond this, in local coordinates, no sums of them would be left.
+/// Greatest coordinate of a landmark, in local coordinates: beyond it, sums lose all digits.
 const BEYOND: f64 = 1e12;
-/// Names that are told.
+/// Greatest number of names in a message.
 const NAMES: usize = 5;
 
 /// The plugin.
 struct ControlPoints;
 
-/// The choice of the map, and what is told of it.
+/// Parameters: the map, and the report on it.
 #[derive(ParamSet)]
 struct ControlPointSettings {
-    /// Splines and local weights meet each landmark; the others as well as they can
+    /// Kind of map; splines and local weights meet each landmark, the others as well as they can
     #[param(default = MapKind::ThinPlate, invalidates_preparation)]
     method: MapKind,
-    /// How much a thin-plate spline may miss landmarks, for those that are not exact; 0 meets them
+    /// Smoothing of a thin-plate spline, for landmarks that are not exact; 0 meets them, larger ones miss
+    /// more
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=1e3, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
-    /// How well landmarks are met: in one line, a line for each of them, or as objects of JSON
+    /// Form of the report on how well landmarks are met: one line, a line for each, or objects of JSON
     #[param(default = ReportForm::Summary, invalidates_preparation)]
     report: ReportForm,
 }
@@ -67,7 +68,7 @@ impl Deformer for ControlPoints {
             )
             .param(
                 ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
-                    .hint("Lines of a name, x, y, z, where these belong, and maybe a weight, in the model's coordinates"),
+                    .hint("Lines of a name, x, y, z, the new place as x, y, z, and maybe a weight, in the model's coordinates"),
             )
             .param_set::<ControlPointSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })
@@ -157,7 +158,7 @@ fn landmarks(path: &Path, frame: &ModelFrame) -> PluginResult<Vec<Landmark>> {
     Ok(landmarks)
 }
 
-/// Tells of landmarks that lie far from the model; they cannot all.
+/// Warns of landmarks that lie far from the model; all of them cannot.
 fn are_near((path, landmarks): (&Path, &[Landmark]), bounds: &Bounds, host: &Host<'_>) -> PluginResult<()> {
     let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
     let beside = |l: &&Landmark| l.source.distance(l.source.clamp(low, high)) > FAR * bounds.diagonal();
@@ -173,7 +174,7 @@ fn are_near((path, landmarks): (&Path, &[Landmark]), bounds: &Bounds, host: &Hos
     Ok(())
 }
 
-/// Tells what the user may not want.
+/// Warns of maps that the user may not want.
 fn warn(map: &SpaceMap, method: MapKind, landmarks: &[Landmark], host: &Host<'_>) {
     let used: Vec<DVec3> = landmarks.iter().filter(|l| l.weight > 0.0).map(|l| l.source).collect();
     let extent = PointExtent::measure(&used);

@@ -4,8 +4,8 @@
 //!   parameters between two point patterns*, PAMI 1991.
 //! - The thin-plate spline in space, whose kernel is the distance: F. L. Bookstein, *Principal warps*,
 //!   PAMI 1989.
-//! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, 1968,
-//!   of what the best simpler map leaves over.
+//! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*,
+//!   1968, of the residuals of the best simpler map.
 
 use crate::landmarks::Landmark;
 use faer::Mat;
@@ -14,11 +14,11 @@ use glam::{DAffine3, DMat3, DVec3};
 use simod_geometry::{nearest_rotation, symmetric_eigen};
 use simod_plugin_api::Choice;
 
-/// Landmarks extend in a direction if by more than this part of their largest extent.
+/// Least extent of landmarks in a direction, as a part of their largest extent.
 const EXTENDS: f64 = 1e-6;
-/// Sources nearer to each other than this part of their extent coincide.
+/// Distance of sources, as a part of their extent, below which they coincide.
 const SAME: f64 = 1e-9;
-/// Below this part what a map does in that direction is uncertain.
+/// Extent, as a part of the largest one, below which a map is uncertain in that direction.
 const FLAT: f64 = 1e-2;
 
 /// The kind of map.
@@ -35,7 +35,7 @@ pub enum MapKind {
 }
 
 impl MapKind {
-    /// What a session calls it.
+    /// Name of the map in sessions.
     pub fn id(self) -> &'static str {
         match self {
             Self::ThinPlate => "thin-plate",
@@ -57,21 +57,21 @@ impl MapKind {
     }
 }
 
-/// Why landmarks determine no map of a kind, and the next simpler one that they do.
+/// Reason why landmarks determine no map of a kind, and the next simpler kind that they do determine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Open {
     pub why: Why,
     pub instead: Option<MapKind>,
 }
 
-/// Why landmarks determine no map of a kind, and what to do about them.
+/// Reason why landmarks determine no map of a kind, and the advice.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Why {
     pub what: String,
     pub remedy: &'static str,
 }
 
-/// In how many directions points extend, and the least of these extents as a part of the largest.
+/// Number of directions in which points extend, and the least of these extents as a part of the largest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointExtent {
     pub directions: usize,
@@ -88,7 +88,7 @@ impl PointExtent {
         });
         let squares = (symmetric_eigen(covariance).0 / count).to_array();
         let largest = squares[2].max(0.0).sqrt();
-        // What rounding leaves of points in one place.
+        // Rounding leaves an extent of this size of points in one place.
         let size = points.iter().map(|p| p.length()).fold(0.0, f64::max);
         if largest <= 1e-12 * size {
             return Self { directions: 0, least: 0.0 };
@@ -97,7 +97,7 @@ impl PointExtent {
         Self { directions: parts.clone().count(), least: parts.fold(1.0, f64::min) }
     }
 
-    /// Whether it is flat, though not altogether.
+    /// Whether the points are nearly flat, but extend in all directions.
     pub fn is_uncertain(self) -> bool {
         self.directions == 3 && self.least < FLAT
     }
@@ -116,9 +116,9 @@ impl PointExtent {
 #[derive(Debug, Clone)]
 pub enum SpaceMap {
     Affine(DAffine3),
-    /// An affine map, and at each centre a weight of the distance from it.
+    /// Affine map, and at each centre the weight of the distance from it.
     Spline(DAffine3, Vec<(DVec3, DVec3)>),
-    /// An affine map, and at each source how much is left over, and how much that counts.
+    /// Affine map, and at each source the residual, and its weight.
     Local(DAffine3, Vec<(DVec3, DVec3, f64)>),
 }
 
@@ -145,8 +145,8 @@ impl SpaceMap {
         }
     }
 
-    /// The map of a kind that landmarks determine, of those that have a weight. `smoothing` is how much a
-    /// spline may miss them, in their own unit of length.
+    /// Map of a kind that is determined by the landmarks with a weight. `smoothing` allows a spline to miss
+    /// the landmarks, in their own unit of length.
     ///
     /// # Errors
     /// The landmarks do not determine a map.
@@ -189,8 +189,8 @@ impl SpaceMap {
         }
     }
 
-    /// By how far each landmark is missed by the map that all others determine; nothing where these do not
-    /// determine one.
+    /// Vector by which each landmark is missed by the map of all others; nothing where these do not
+    /// determine a map.
     pub fn left_out(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
         if kind == MapKind::ThinPlate {
             return ThinPlateSpline::left_out(landmarks, smoothing);
@@ -205,13 +205,13 @@ impl SpaceMap {
         (0..landmarks.len()).map(without).collect()
     }
 
-    /// Whether it turns things inside out, where it is affine.
+    /// Whether an affine map mirrors space.
     pub fn mirrors(&self) -> bool {
         matches!(self, Self::Affine(map) if map.matrix3.determinant() <= 0.0)
     }
 }
 
-/// What is open for landmarks that extend in too few directions.
+/// Reason why a map is open for landmarks that extend in too few directions.
 fn open(extent: PointExtent, count: usize) -> Why {
     let what = match extent.directions {
         2 => "what happens across it cannot be determined",
@@ -260,7 +260,7 @@ fn translation(used: &[&Landmark]) -> DAffine3 {
     DAffine3::from_translation(target - source)
 }
 
-/// The sum of weighted products of what differs from the means: target by source.
+/// Sum of weighted products of the differences from the means: target by source.
 fn covariance(used: &[&Landmark], [source, target]: [DVec3; 2]) -> DMat3 {
     used.iter().fold(DMat3::ZERO, |sum, l| {
         let (s, t) = (l.source - source, l.weight * (l.target - target));
@@ -276,7 +276,7 @@ fn similarity(used: &[&Landmark]) -> Result<DAffine3, Why> {
         remedy: "take more landmarks elsewhere",
     };
     let (turn, values) = nearest_rotation(covariance);
-    // The second largest decides whether the turn is known.
+    // The second largest value decides whether the turn is known.
     if !(values.y > EXTENDS * EXTENDS * values.x && values.x > 0.0) {
         return Err(unsolved());
     }
@@ -298,7 +298,7 @@ fn affine(used: &[&Landmark]) -> DAffine3 {
 /// The equations of a thin-plate spline: distances, the smoothing, and the four side conditions.
 struct ThinPlateSpline {
     factor: PartialPivLu<f64>,
-    /// Middle and size of the sources, for the sake of rounding.
+    /// Middle and size of the sources, by which they are shifted and scaled against rounding.
     middle: DVec3,
     size: f64,
 }
@@ -312,7 +312,7 @@ impl ThinPlateSpline {
         let size = used.iter().map(|l| l.source.distance(middle)).fold(0.0, f64::max);
         let n = used.len();
         let matrix = Mat::from_fn(n + 4, n + 4, |i, j| match (i < n, j < n) {
-            // Less the distance, the spline's energy is positive.
+            // The kernel of positive energy is minus the distance, so the smoothing has a minus.
             (true, true) if i == j => -smoothing / (size * used[i].weight),
             (true, true) => used[i].source.distance(used[j].source) / size,
             (true, false) => affine_part((used[i].source - middle) / size, j - n),

@@ -1,30 +1,30 @@
-//! How well a map meets its landmarks.
+//! The errors of a map at its landmarks.
 
 use crate::landmarks::Landmark;
 use crate::map::{MapKind, SpaceMap};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-/// Landmarks that are told one by one, at most: the host takes a hundred lines.
+/// Greatest number of landmarks that are told one by one: the host takes a hundred lines.
 const MOST_TOLD: usize = 90;
-/// Finding the map without each landmark is for so many.
+/// Greatest number of landmarks for which the map without each of them is found.
 const MOST_LEFT_OUT: usize = 1500;
-/// Finding outliers one after the other is for so many.
+/// Greatest number of landmarks for which outliers are found one after the other.
 const MOST_AGAIN: usize = 300;
-/// A landmark is an outlier if the map of all others misses it by more than so many times the median,
+/// Factor of the median by which the map of all others has to miss a landmark that is an outlier,
 const OUTLIER: f64 = 4.0;
-/// and by more than this part of the landmarks' extent.
+/// and part of the landmarks' extent by which it has to miss the landmark, too.
 const NOTHING: f64 = 1e-5;
 
-/// What a landmark comes to, lengths in the model's unit.
+/// Errors of a landmark, lengths in the model's unit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub name: String,
-    /// From where the map takes it to where it belongs.
+    /// Distance from the landmark's image by the map to its target.
     pub residual: f64,
-    /// The residual of the map that all others determine; nothing where they determine none.
+    /// Residual of the map of all other landmarks; nothing where these determine none.
     pub left_out: Option<f64>,
-    /// Whether it has no weight.
+    /// Whether the landmark has no weight.
     pub is_check: bool,
     pub is_outlier: bool,
 }
@@ -58,7 +58,7 @@ impl LandmarkReport {
         Self { rows, kind }
     }
 
-    /// The root mean square of what those that have a weight are missed by.
+    /// Root mean square of the residuals of the landmarks with a weight.
     pub fn rms(&self) -> f64 {
         rms(self.rows.iter().filter(|row| !row.is_check).map(|row| row.residual)).unwrap_or(0.0)
     }
@@ -68,7 +68,7 @@ impl LandmarkReport {
         rms(self.rows.iter().filter_map(|row| row.left_out))
     }
 
-    /// The names of those that stand out.
+    /// Names of the landmarks that are outliers.
     pub fn outliers(&self) -> Vec<&str> {
         self.rows.iter().filter(|row| row.is_outlier).map(|row| row.name.as_str()).collect()
     }
@@ -124,8 +124,8 @@ impl LandmarkReport {
     }
 }
 
-/// Landmarks that stand out, one after the other: each is left out before the next is looked for, as a map
-/// that is wrong in one place is so beside it, too.
+/// Landmarks that are outliers, one after the other: each is left out before the next is looked for, as a
+/// map that is wrong in one place is wrong beside it, too.
 fn outliers(
     kind: MapKind,
     landmarks: &[Landmark],
@@ -160,7 +160,7 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0.0).then(|| f64::sqrt(sum / count))
 }
 
-/// Four digits.
+/// Number with four digits.
 fn figure(x: f64) -> String {
     if x == 0.0 || (1e-3..1e6).contains(&x) { format!("{x:.4}") } else { format!("{x:.3e}") }
 }

@@ -1,4 +1,4 @@
-//! The maps against what they are made of, and the plugin as the host calls it.
+//! The maps against those that made the landmarks, and the plugin as the host calls it.
 
 use super::*;
 use glam::DMat3;
@@ -85,7 +85,7 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
         1e-3 < some && some < affine && (much - affine).abs() < 1e-3 * affine,
         "{some}, {much}, {affine}"
     );
-    // One that does not count is no landmark, but is told of.
+    // A landmark without a weight does not take part, but is reported.
     let mut checked = landmarks.clone();
     checked[4].weight = 0.0;
     let map = SpaceMap::fit(MapKind::ThinPlate, &checked, 0.0).unwrap();
@@ -93,8 +93,8 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     assert!(report.rows[4].is_check && report.rows[4].residual > 1e-4 && report.rms() < 1e-12);
 }
 
-/// `scipy.interpolate.RBFInterpolator(sources, targets, kernel="linear", degree=1)`, of SciPy 1.17.1, at
-/// (0.3, -0.2, 0.6).
+/// The expected value is that of `scipy.interpolate.RBFInterpolator(sources, targets, kernel="linear",
+/// degree=1)`, of SciPy 1.17.1, at (0.3, -0.2, 0.6).
 #[test]
 fn the_spline_is_scipy_s() {
     let landmarks = moved(&places(20, 3), bend);
@@ -122,7 +122,7 @@ fn a_landmark_is_left_out_as_if_it_were_not_there() {
             }
         }
     }
-    // Four are needed all.
+    // Each of four landmarks is needed.
     let four = moved(&places(4, 3), bend);
     for kind in [MapKind::ThinPlate, MapKind::Affine] {
         assert!(SpaceMap::left_out(kind, &four, 0.0).iter().all(Option::is_none));
@@ -143,11 +143,12 @@ fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
             let told = why.what;
             assert!(told.contains(what) && offered == Some(instead), "{told}, {offered:?}");
         }
-        // What is offered can be had.
+        // The kind that is offered can be had.
         SpaceMap::fit(instead, &landmarks, 0.0).unwrap();
         assert_eq!(SpaceMap::fit(MapKind::Similarity, &landmarks, 0.0).is_ok(), directions > 1);
     }
-    // Those that coincide are named, also where rounding has them apart, and what is offered can be had.
+    // Sources that coincide are named, also where rounding has them apart, and the kind that is offered can
+    // be had.
     for (directions, instead) in [(3, MapKind::Affine), (2, MapKind::Similarity), (1, MapKind::Translation)] {
         for apart in [0.0, 1e-12] {
             let mut landmarks = moved(&places(9, directions), |p| p + DVec3::X);
@@ -184,7 +185,7 @@ fn a_wrong_landmark_stands_out() {
     }
 }
 
-/// A host that keeps what is told.
+/// Host that keeps the messages.
 #[derive(Default)]
 struct Log(Mutex<Vec<(LogLevel, String)>>);
 

@@ -1,4 +1,5 @@
-//! Deformation by a wire: a curve through the model, whose points are handles; what is around it goes along.
+//! Deformation by a wire: a curve through the model, whose points are handles; the model around the curve
+//! goes along.
 //!
 //! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998. A map of space: for each
 //! sample the nearest place of the curve is found once, in `prepare`.
@@ -17,30 +18,30 @@ use simod_plugin_api::{
 };
 use spline::Spline;
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 1024;
-/// Nodes of a wire, of which each is compared with each other.
+/// Number of a wire's nodes that are compared with each other.
 const MOST_COMPARED: usize = 1000;
 
-/// Parts of a wire that lie nearer to each other than this, in units of the diagonal, are told.
+/// Distance of two parts of a wire, in units of the diagonal, below which the user is warned.
 const NEAR: f64 = 0.05;
 
 /// The plugin.
 struct CurvePlugin;
 
-/// Where the wire is, and what goes along.
+/// Parameters: the wire's place, and its effects.
 #[derive(ParamSet)]
 struct CurveSettings {
-    /// How many points a wire has that is made: through the middle of the model, along its longest side
+    /// Number of points of a wire that is made: through the model's middle, along its longest side
     #[param(default = 5, hard = 2..=100, soft = 3..=15, invalidates_preparation)]
     points: i64,
-    /// What is beyond the wire's ends
+    /// Motion of what is beyond the wire's ends
     #[param(default = Ends::Follow, invalidates_preparation)]
     ends: Ends,
-    /// From which distance from the wire on nothing moves
+    /// Distance from the wire from which on nothing moves
     #[param(default = 1.0, unit = "diagonal", hard = f64::MIN_POSITIVE..=1e3, soft = 0.01..=1.0)]
     reach: f64,
-    /// The part of the reach within which all goes along as a whole
+    /// Part of the reach within which all goes along as a whole
     #[param(default = 0.5, hard = 0.0..=1.0, soft = 0.0..=1.0)]
     whole: f64,
     /// Turn about the wire from its beginning to its end
@@ -59,10 +60,10 @@ enum Ends {
     Fade,
 }
 
-/// The wire, and where samples are on it.
+/// The wire, and the samples' nearest places on it.
 struct PreparedWire {
     rest: NearestOnCurve,
-    /// Where the points are before handles are moved: other places where there is a file that says so.
+    /// Points before handles are moved: other places than at rest where a file gives some.
     placed: Vec<DVec3>,
     knots: Vec<f64>,
     feet: Vec<Foot>,
@@ -113,7 +114,7 @@ fn motion<'a>(state: &'a PreparedWire, input: &DeformInput<'_>) -> PluginResult<
         return Err(PluginError::internal(message));
     }
     let mut points = state.placed.clone();
-    // What does not move shall not move by rounding either.
+    // A point that does not move shall not move by rounding either.
     let moved = points.iter_mut().zip(motions).filter(|(_, motion)| **motion != Affine::IDENTITY);
     moved.for_each(|(p, motion)| *p = motion.apply((*p).into()).into());
     let looks = looks(input.params(), input.bounds.diagonal())?;
@@ -140,7 +141,7 @@ impl Deformer for CurvePlugin {
             )
             .param(
                 ParamDesc::file("moved", "Moved wire", &["csv", "txt", "xyz", "obj"])
-                    .hint("Where these points go, as many in the same order; handles move them on from there"),
+                    .hint("New places of these points, as many in the same order; handles move them on from there"),
             )
             .param_set::<CurveSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })
@@ -169,7 +170,7 @@ impl Deformer for CurvePlugin {
         let mut feet = vec![Foot { piece: 0, t: 0.0, distance: 0.0 }; samples.len()];
         let total = samples.len().max(1) as f64;
         host.parallel_blocks(&mut feet, BLOCK, |first, feet| {
-            // Whether to go on is looked after by whoever hands out the blocks.
+            // The wish to stop is looked after by the code that hands out the blocks.
             let _ = host.progress(first as f64 / total);
             for (foot, p) in feet.iter_mut().zip(&samples[first..]) {
                 *foot = rest.find(DVec3::from(p.map(f64::from)));
@@ -236,8 +237,8 @@ impl IsIdentity for CurvePlugin {
     }
 }
 
-/// How far a wire is from itself, in percent of the diagonal, where two parts of it reach the same places:
-/// there space is torn if they go different ways, or comes to be in one place.
+/// Distance of a wire from itself, in percent of the diagonal, where two parts of it come near each other:
+/// there space is torn if they go different ways, or folded into one place.
 fn comes_back(rest: &NearestOnCurve, diagonal: f64) -> Option<f64> {
     let stride = rest.nodes().len().div_ceil(MOST_COMPARED);
     let nodes: Vec<DVec3> = rest.nodes().iter().copied().step_by(stride).collect();
@@ -245,7 +246,7 @@ fn comes_back(rest: &NearestOnCurve, diagonal: f64) -> Option<f64> {
     for pair in nodes.windows(2) {
         lengths.push(lengths[lengths.len() - 1] + pair[0].distance(pair[1]));
     }
-    // Of a half circle the way along is 1.6 times that across.
+    // The length along a half circle is 1.6 times that across.
     let is_back = |i: usize, j: usize| {
         let across = nodes[i].distance(nodes[j]);
         across < NEAR * diagonal && lengths[j] - lengths[i] > 3.0 * across.max(NEAR * diagonal / 50.0)

@@ -1,35 +1,35 @@
-//! What a wire does to space: each place goes along with the nearest place of the curve, which is moved and
-//! turned.
+//! Deformation of space by a wire: each place goes along with the nearest place of the curve, which is
+//! moved and turned.
 //!
-//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998, §2. There the turn at each
-//! place of the curve is the least one between the two tangents, which jumps where these come to oppose each
-//! other. Here frames that do not turn about the curve are carried along both curves (W. Wang, B. Jüttler, D.
-//! Zheng, Y. Liu, *Computation of rotation minimizing frames*, TOG 2008, double reflection), so that a wire
-//! can be bent to a knot; what these turn about the curve between parts that are as they were is taken back
-//! where it bends.
+//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998, §2. There the turn at
+//! each place of the curve is the least one between the two tangents, which jumps where these come to
+//! oppose each other. Here frames that do not turn about the curve are carried along both curves (W. Wang,
+//! B. Jüttler, D. Zheng, Y. Liu, *Computation of rotation minimizing frames*, TOG 2008, double reflection),
+//! so that a wire can be bent to a knot; the turn of these frames about the curve, between parts that are
+//! as they were, is taken back where the curve bends.
 
 use crate::nearest::{Foot, NearestOnCurve, PIECES};
 use crate::spline::{Spline, WirePoint};
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::TAU;
 
-/// Turns by less than this, in radians, are rounding.
+/// Turn in radians below which it is rounding.
 const LEAST_TURN: f64 = 1e-12;
 
-/// The effects of a wire: how much of its motion is made, and twist, reach and volume.
+/// Effects of a wire: the distances within which its motion is made, twist and volume.
 #[derive(Debug, Clone, Copy)]
 pub struct WireEffects {
-    /// Up to which distance from the curve all goes along as a whole.
+    /// Distance from the curve up to which all goes along as a whole.
     pub whole: f64,
-    /// From which distance on nothing moves.
+    /// Distance from the curve from which on nothing moves.
     pub reach: f64,
     /// The turn about the curve from its beginning to its end, in radians.
     pub twist: f64,
-    /// Whether what is stretched along the curve gets thinner.
+    /// Whether a part that is stretched along the curve gets thinner.
     pub keeps_volume: bool,
 }
 
-/// A number along the curve by its values and slopes at the nodes.
+/// Number along the curve by its values and slopes at the nodes.
 struct WireNumber {
     values: Vec<f64>,
     slopes: Vec<f64>,
@@ -43,19 +43,19 @@ pub struct WireMotion<'a> {
     nodes: Vec<[WirePoint; 2]>,
     /// Directions across the two curves, at the nodes, that do not turn about them.
     across: [Vec<DVec3>; 2],
-    /// By how much the moved curve has been bent so far, in radians.
+    /// Angle by which the moved curve has been bent from its beginning on, in radians.
     bent: WireNumber,
-    /// Lengths along the curve at rest, of its whole.
+    /// Length along the curve at rest, from its beginning on.
     length: WireNumber,
-    /// The turn about the curve that is taken back in all.
+    /// Whole turn about the curve that is taken back.
     taken_back: f64,
-    /// Turns at the nodes as vectors, which go on where a turn is more than half of one.
+    /// Turns at the nodes as vectors, which are continued beyond half a turn.
     turns: Vec<DVec3>,
     looks: WireEffects,
 }
 
 impl<'a> WireMotion<'a> {
-    /// The motion that takes the points of a wire at rest to others, as many.
+    /// Motion that takes the points of a wire at rest to as many others.
     pub fn new(rest: &'a NearestOnCurve, moved: Spline, looks: WireEffects) -> Self {
         let nodes = rest.pieces() + 1;
         let none = || WireNumber { values: vec![0.0; nodes], slopes: vec![0.0; nodes] };
@@ -88,7 +88,7 @@ impl<'a> WireMotion<'a> {
         motion
     }
 
-    /// Where a place of space goes, of which `foot` is the nearest place of the curve at rest.
+    /// Image of a place of space whose nearest place of the curve at rest is `foot`.
     pub fn apply(&self, p: DVec3, foot: &Foot) -> DVec3 {
         let part = self.part(foot.distance);
         if part == 0.0 {
@@ -114,8 +114,8 @@ impl<'a> WireMotion<'a> {
         rest.position + part * shift + offset
     }
 
-    /// How much of the motion is made at a distance from the curve: Singh and Fiume's density function,
-    /// behind what goes along as a whole.
+    /// Part of the motion that is made at a distance from the curve: 1 up to the distance `whole`, and then
+    /// Singh and Fiume's density function.
     fn part(&self, distance: f64) -> f64 {
         let WireEffects { whole, reach, .. } = self.looks;
         if distance <= whole {
@@ -177,9 +177,9 @@ impl<'a> WireMotion<'a> {
         turn * DQuat::from_axis_angle(along, about)
     }
 
-    /// The turn about the curve, at its end, by which the frames that were carried along are off the least
-    /// turn between the tangents: nothing should turn where the curve is as it was. The more these oppose
-    /// each other, the less this says.
+    /// Turn about the curve, at its end, by which the frames that were carried along differ from the least
+    /// turn between the tangents: nothing should turn where the curve is as it was. The more the tangents
+    /// oppose each other, the less this turn counts.
     fn to_take_back(&self) -> f64 {
         let end = self.rest.pieces();
         let jets = &self.nodes[end];
@@ -190,14 +190,14 @@ impl<'a> WireMotion<'a> {
         about * rest.dot(moved).midpoint(1.0)
     }
 
-    /// The sums of what pieces have.
+    /// Sums of the pieces' numbers along the curve.
     fn along(&self, pieces: Vec<f64>) -> WireNumber {
         let parameters = self.rest.parameters();
         let rate = |piece: usize| pieces[piece] / (parameters[piece + 1] - parameters[piece]);
         let last = pieces.len() - 1;
         let slopes = (0..=pieces.len()).map(|node| {
             let [before, behind] = [rate(node.saturating_sub(1)), rate(node.min(last))];
-            // Nothing where nothing happens on one side, so that it stays so.
+            // The slope is zero where nothing happens on one side, so that it stays so.
             if before == 0.0 || behind == 0.0 { 0.0 } else { before.midpoint(behind) }
         });
         let slopes = slopes.collect();
@@ -208,7 +208,7 @@ impl<'a> WireMotion<'a> {
         WireNumber { values, slopes }
     }
 
-    /// The part of the whole that a sum has come to.
+    /// Part of the whole that a sum has come to at a place.
     fn part_along(&self, sum: &WireNumber, foot: &Foot) -> f64 {
         let piece = foot.piece as usize;
         let whole = sum.values[sum.values.len() - 1];
@@ -229,12 +229,12 @@ impl<'a> WireMotion<'a> {
     }
 }
 
-/// The unit tangent; `otherwise` where the curve stands still.
+/// Unit tangent; `otherwise` where the curve stands still.
 fn direction(jet: &WirePoint, otherwise: DVec3) -> DVec3 {
     jet.first.try_normalize().unwrap_or(otherwise)
 }
 
-/// A direction across a curve carried along it, to a place near by: double reflection.
+/// Direction across a curve carried along it, to a place near by: double reflection.
 fn carried(from: &WirePoint, across: DVec3, to: &WirePoint) -> DVec3 {
     let tangent = direction(from, DVec3::X);
     let goal = direction(to, tangent);
@@ -249,7 +249,7 @@ fn carried(from: &WirePoint, across: DVec3, to: &WirePoint) -> DVec3 {
     } else {
         across
     };
-    // At right angles in spite of rounding.
+    // The direction is put at right angles again, against rounding.
     (new - new.dot(goal) * goal).try_normalize().unwrap_or_else(|| goal.any_orthonormal_vector())
 }
 
@@ -258,14 +258,14 @@ fn between(from: DQuat, to: DQuat) -> DVec3 {
     as_vector(to * from.conjugate(), DVec3::ZERO)
 }
 
-/// A turn as a vector along its axis of its angle's length: of all that are whole turns apart the one next to
-/// another.
+/// Turn as a vector along its axis of its angle's length: among those that differ by whole turns, the one
+/// next to another vector.
 fn as_vector(turn: DQuat, near: DVec3) -> DVec3 {
     let turn = if turn.w < 0.0 { -turn } else { turn };
     let sine = turn.xyz().length();
     let angle = 2.0 * sine.atan2(turn.w);
     let Some(axis) = turn.xyz().try_normalize().filter(|_| sine > LEAST_TURN) else {
-        // No turn, or whole ones.
+        // The turn is none, or whole ones.
         let turns = (near.length() / TAU).round();
         return turns * TAU * near.normalize_or_zero();
     };

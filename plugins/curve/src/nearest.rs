@@ -1,22 +1,22 @@
-//! The point of a curve that is nearest to a place: by the nodes of a polyline along it, whose pieces are in
-//! a tree of boxes, and by Newton's method from there.
+//! Nearest point of a curve to a place: by the nodes of a polyline along the curve, whose pieces are in a
+//! tree of boxes, and by Newton's method from there.
 
 use crate::spline::{Spline, WirePoint};
 use glam::DVec3;
 
-/// Pieces of the polyline to a span of the curve.
+/// Number of pieces of the polyline in a span of the curve.
 pub const PIECES: usize = 16;
-/// Most steps of Newton's method; some five are taken.
+/// Greatest number of steps of Newton's method; some five are taken.
 const MOST_STEPS: usize = 40;
 
 /// A place on the curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Foot {
-    /// The piece that it is on; the first or last one for what is beyond the ends.
+    /// Piece of the polyline; the first or last one for places beyond the ends.
     pub piece: u32,
     /// The curve's parameter.
     pub t: f64,
-    /// From the place that was asked for.
+    /// Distance from the given place.
     pub distance: f64,
 }
 
@@ -28,7 +28,7 @@ pub struct NearestOnCurve {
     parameters: Vec<f64>,
     /// Boxes of a binary tree over the pieces: those of `i` are in `2 i + 1` and `2 i + 2`.
     boxes: Vec<[DVec3; 2]>,
-    /// Whether what is beyond an end is nearest to the straight line that goes on there, or to the end.
+    /// Whether a place beyond an end is nearest to the straight line that goes on there, or to the end.
     goes_on: bool,
 }
 
@@ -52,7 +52,7 @@ impl NearestOnCurve {
         &self.curve
     }
 
-    /// How many pieces the polyline has; each has [`PIECES`] of them to a span.
+    /// Number of pieces of the polyline, [`PIECES`] for each span of the curve.
     pub fn pieces(&self) -> usize {
         self.nodes.len() - 1
     }
@@ -67,7 +67,7 @@ impl NearestOnCurve {
         &self.parameters
     }
 
-    /// The curve at a place of it.
+    /// Point and derivatives of the curve at a place of it.
     pub fn jet(&self, foot: &Foot) -> WirePoint {
         self.curve.evaluate(foot.piece as usize / PIECES, foot.t)
     }
@@ -108,7 +108,7 @@ impl NearestOnCurve {
         foot
     }
 
-    /// The nearest piece among `[first, end)`, whose box is `cell`: its squared distance, and which it is.
+    /// Nearest piece among `[first, end)`, whose box is `cell`: its squared distance, and its index.
     fn search(&self, p: DVec3, [cell, first, end]: [usize; 3], best: &mut (f64, usize)) {
         if end - first == 1 {
             let [a, b] = [self.nodes[first], self.nodes[first + 1]];
@@ -131,8 +131,8 @@ impl NearestOnCurve {
         }
     }
 
-    /// The nearest place around a piece: Newton's method for where the curve is at right angles to the way to
-    /// `p`, held between the pieces before and behind.
+    /// Nearest place around a piece: Newton's method for the place where the curve is at right angles to
+    /// the way to `p`, held between the pieces before and behind.
     fn refined(&self, p: DVec3, piece: usize) -> Foot {
         let jet = |t: f64| {
             let piece = self.piece(piece, t);
@@ -145,7 +145,7 @@ impl NearestOnCurve {
             let (jet, piece) = jet(t);
             Foot { piece: piece as u32, t, distance: jet.position.distance(p) }
         };
-        // At an end of the curve, or where it bends so that there is nothing between.
+        // The place is an end of the curve, or a bend without such a place between.
         if slope(&jet(low).0) >= 0.0 || slope(&jet(high).0) <= 0.0 {
             let [a, b] = [foot(low), foot(high)];
             return if a.distance <= b.distance { a } else { b };
@@ -171,7 +171,7 @@ impl NearestOnCurve {
         foot(t)
     }
 
-    /// The piece that a parameter lies in, at or beside the given one.
+    /// Piece that a parameter lies in, at or beside the given one.
     fn piece(&self, near: usize, t: f64) -> usize {
         let from = near.saturating_sub(1);
         let to = (near + 1).min(self.pieces() - 1);

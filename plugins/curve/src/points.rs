@@ -9,13 +9,12 @@ pub const MOST: usize = 1000;
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 4 << 20;
 
-/// The points of a file, in its coordinates: lines of three numbers, separated by commas, semicolons or white
-/// space; a first line without numbers is a heading. OBJ has vertices, in the order of its first `l` line
-/// where there is one.
+/// Points of a file, in the file's coordinates: lines of three numbers, separated by commas, semicolons or
+/// white space; a first line without numbers is a heading. OBJ files have vertices, in the order of their
+/// first `l` line where there is one.
 ///
 /// # Errors
-/// The file cannot be read, a line is not what it should be, or there are fewer than two points or more than
-/// [`MOST`].
+/// The file cannot be read, a line is no point, or there are fewer than two points or more than [`MOST`].
 pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     let error = |what: String| {
         PluginError::input(format!("{}{what}", path.display()))
@@ -38,7 +37,7 @@ pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     }
 }
 
-/// What is wrong, and in which line.
+/// Line of a defect, and the defect.
 type BadPoints = (usize, String);
 
 fn of_lines(text: &str) -> Result<Vec<DVec3>, BadPoints> {
@@ -66,7 +65,7 @@ fn of_obj(text: &str) -> Result<Vec<DVec3>, BadPoints> {
         let mut fields = text.split_whitespace();
         match fields.next() {
             Some("v") => {
-                // Behind the coordinates there may be a weight or a colour.
+                // Coordinates may be followed by a weight or a colour.
                 let fields: Vec<&str> = fields.take(3).collect();
                 vertices.push(point(&fields).map_err(|what| (line, what))?);
             }
@@ -103,8 +102,8 @@ fn point(fields: &[&str]) -> Result<DVec3, String> {
     Ok(DVec3::new(number(x)?, number(y)?, number(z)?))
 }
 
-/// So many points through the model along the longest side of its box: each in the middle of the samples
-/// about it.
+/// Points through the model along the longest side of its box, evenly apart: each in the middle of the
+/// samples around it.
 pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) -> Vec<DVec3> {
     let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
     let size = high - low;
@@ -112,7 +111,7 @@ pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) ->
     let step = size[axis] / (points - 1) as f64;
     let mut sums = vec![(DVec3::ZERO, 0.0); points];
     for p in samples.iter().map(|p| DVec3::from(p.map(f64::from))) {
-        // Between two points, a sample counts for both.
+        // Samples between two points count for both.
         let place =
             if step > 0.0 { ((p[axis] - low[axis]) / step).clamp(0.0, (points - 1) as f64) } else { 0.0 };
         let before = (place as usize).min(points - 2);
@@ -123,7 +122,7 @@ pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) ->
     }
     let mut middle = low.midpoint(high);
     let along = (0..points).zip(sums).map(|(i, (sum, weight))| {
-        // Where there are no samples it goes on as it was.
+        // Without samples around it, a point has the middle of the one before.
         middle = if weight > 0.0 { sum / weight } else { middle };
         middle[axis] = low[axis] + i as f64 * step;
         middle

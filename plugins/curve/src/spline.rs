@@ -1,6 +1,6 @@
-//! The curve through a wire's points: the cubic spline of E. Catmull and R. Rom, with the centripetal knots
-//! of C. Yuksel, S. Schaefer, J. Keyser, *On the parameterization of Catmull-Rom curves*, SPM 2009, by which
-//! it makes no loops. A point moves the two spans on either side alone.
+//! Curve through a wire's points: the cubic spline of E. Catmull and R. Rom, with the centripetal knots of
+//! C. Yuksel, S. Schaefer, J. Keyser, *On the parameterization of Catmull-Rom curves*, SPM 2009, by which
+//! the curve has no loops. A point moves the two spans on either side alone.
 
 use glam::DVec3;
 
@@ -21,7 +21,7 @@ pub struct WirePoint {
     pub second: DVec3,
 }
 
-/// The centripetal knots of points, of which no two in succession coincide: they lie apart by the roots of
+/// Centripetal knots of points, of which no two in succession coincide: the knots lie apart by the roots of
 /// the distances.
 pub fn knots(points: &[DVec3]) -> Vec<f64> {
     let mut knots = vec![0.0];
@@ -39,7 +39,7 @@ impl Spline {
         let slope = |i: usize| match i {
             0 => chord(0),
             _ if i == last => chord(last - 1),
-            // Of the parabola through the point and its neighbours.
+            // The slope is that of the parabola through the point and its neighbours.
             _ => {
                 let [before, behind] = [knots[i] - knots[i - 1], knots[i + 1] - knots[i]];
                 (chord(i - 1) * behind + chord(i) * before) / (before + behind)
@@ -49,7 +49,7 @@ impl Spline {
         Self { knots, points, slopes }
     }
 
-    /// How many spans there are between its points.
+    /// Number of spans between the curve's points.
     pub fn spans(&self) -> usize {
         self.points.len() - 1
     }
@@ -59,12 +59,13 @@ impl Spline {
         self.knots[span] + part * (self.knots[span + 1] - self.knots[span])
     }
 
-    /// The least and the greatest parameter at which there is a point; beyond, it is straight.
+    /// Least and greatest parameter of the curve's points; beyond, the curve is straight.
     pub fn range(&self) -> [f64; 2] {
         [self.knots[0], self.knots[self.spans()]]
     }
 
-    /// Where the curve is; `span` is the one that `t` is in, the first or last one for what is beyond.
+    /// Point and derivatives of the curve at `t`; `span` is the span of `t`, the first or last one for
+    /// parameters beyond.
     pub fn evaluate(&self, span: usize, t: f64) -> WirePoint {
         let [start, end] = self.range();
         let straight = |i: usize| WirePoint {

@@ -73,7 +73,7 @@ impl Setup {
         handles.iter().map(|handle| handle.position.into()).collect()
     }
 
-    /// Where samples go if the wire's points go to others: by `deform` and by `evaluate`.
+    /// Samples deformed with the wire's points moved: by `deform` and by `evaluate`.
     fn deformed(&self, to: impl Fn(usize, DVec3) -> DVec3) -> [Vec<DVec3>; 2] {
         let motions: Vec<Affine> =
             self.handles().iter().enumerate().map(|(i, p)| shift(to(i, *p) - *p)).collect();
@@ -121,7 +121,7 @@ fn rigid_motions_are_those_of_all_that_goes_along_as_a_whole() {
     let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize_or_zero(), 2.0);
     let moved = |p: DVec3| turn * p + DVec3::new(0.3, -0.2, 0.9);
     let setup = Setup::new(6);
-    // The least turn of the tangent is another one than this, by a turn about the wire.
+    // The least turn of the tangent differs from this turn by one about the wire.
     let axis = turn * DVec3::Y;
     let [samples, points] = setup.deformed(|_, p| moved(p));
     let least = DQuat::from_rotation_arc(DVec3::Y, axis);
@@ -177,7 +177,7 @@ fn a_wire_bent_to_an_arc_bends_as_barr_does() {
 fn what_is_far_along_the_wire_from_where_it_moves_stays_in_its_place() {
     let folder = tempfile::tempdir().unwrap();
     let setup = Setup { wire: straight(&folder, 13), ..Setup::new(5) };
-    // Out of any plane, so that frames that are carried along turn about the wire.
+    // The wire leaves any plane, so that frames that are carried along turn about it.
     let moves = [DVec3::new(0.3, 0.1, 0.0), DVec3::new(0.1, 0.0, 0.4), DVec3::new(-0.2, 0.1, 0.2)];
     let [samples, points] = setup.deformed(|i, p| if (5..8).contains(&i) { p + moves[i - 5] } else { p });
     let (mut still, mut others) = (0, 0);
@@ -285,7 +285,7 @@ fn a_wire_that_comes_back_to_itself_is_told() {
     assert!(!told(circle(0.9)) && told(circle(1.0)) && told(circle(1.5)));
 }
 
-/// What a host hears.
+/// Host that keeps the messages.
 #[derive(Default)]
 struct Listener(std::sync::Mutex<String>);
 
@@ -329,7 +329,7 @@ proptest! {
         prop_assert!((nearest.jet(&foot).position.distance(p) - foot.distance).abs() < 1e-12);
         let places = (0..curve.spans()).flat_map(|span| (0..=200).map(move |u| (span, f64::from(u) / 200.0)));
         let least = places.map(|(span, u)| curve.evaluate(span, curve.parameter(span, u)).position.distance(p));
-        // Where two places are nearly as near, the polyline may choose the other one.
+        // Of two places that are nearly as near, the polyline may choose the other one.
         prop_assert!(foot.distance <= least.fold(f64::INFINITY, f64::min) + 5e-3);
     }
 

@@ -1,52 +1,52 @@
-//! The brushes: where each would have its samples go.
+//! The brushes, and the displacement of samples by each.
 //!
-//! They are those of today's sculpting programs: each would have every sample under it go somewhere, and how
-//! far it goes there is how much of the brush it feels.
+//! The brushes are those of today's sculpting programs: each has a target for every sample under it, and
+//! the sample goes towards it by as much as it feels of the brush.
 
 use crate::path::Symmetry;
 use glam::{BVec3, DVec3};
 use simod_plugin_api::{Curve, ParamDesc, Params, PluginError, PluginResult, Stroke, Unit};
 
-/// What a brush does.
+/// Kind of a brush.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Brush {
     /// Moves samples along their own normals: details puff up, where drawing carries them along.
     Inflate,
-    /// Moves them along the mean normal.
+    /// Moves samples along the mean normal.
     Draw,
-    /// Moves what is under the stroke's start along with it.
+    /// Moves the samples under the stroke's start along with the stroke.
     Grab,
     /// Lowers the curvature.
     Smooth,
     /// Moves samples towards their mean plane.
     Flatten,
-    /// Moves them along the surface towards the stroke.
+    /// Moves samples along the surface towards the stroke.
     Pinch,
     /// Draws, and pinches.
     Crease,
 }
 
-/// How far a full stroke pinches: the part of the distance to the stroke.
+/// Part of the distance to the stroke by which a full stroke pinches.
 const PINCH: f64 = 0.5;
 
-/// The most that it can, whatever the strength: never beyond the stroke.
+/// Greatest part of that distance, whatever the strength: samples never go beyond the stroke.
 const MOST_PINCH: f64 = 0.9;
 
 /// A brush as it was set for a stroke.
 pub struct SetBrush<'a> {
-    /// What it does.
+    /// Kind of the brush.
     pub brush: Brush,
-    /// Local coordinates.
+    /// Radius in local coordinates.
     pub radius: f64,
-    /// 1 is full; negative ones do the opposite.
+    /// Strength: 1 is full; negative ones do the opposite.
     pub strength: f64,
-    /// Between dabs, in radii.
+    /// Distance between dabs, in radii.
     pub spacing: f64,
     /// Whether a stroke that crosses itself adds up.
     pub accumulate: bool,
-    /// Mirrors.
+    /// Mirrors of the stroke.
     pub symmetry: Symmetry,
-    /// How far a full stroke draws or inflates, local coordinates.
+    /// Height by which a full stroke draws or inflates, in local coordinates.
     depth: f64,
     falloff: Curve<'a>,
 }
@@ -79,7 +79,7 @@ impl<'a> SetBrush<'a> {
         })
     }
 
-    /// The parameters that it reads.
+    /// Parameters of a brush.
     pub fn params() -> Vec<ParamDesc> {
         let brushes = [
             ("inflate", "Inflate"),
@@ -93,43 +93,42 @@ impl<'a> SetBrush<'a> {
         let mirror = |id, name, hint| ParamDesc::bool(id, name, false).hint(hint).group("Symmetry");
         vec![
             ParamDesc::choice("brush", "Brush", "inflate", &brushes)
-                .hint("What strokes do; negative strengths do the opposite, which smooth has not"),
-            ParamDesc::float("depth", "Depth", 0.2)
-                .hard(0.0, 4.0)
-                .soft(0.0, 1.0)
-                .hint("How far a full stroke of inflate, draw or crease moves the surface, in radii"),
+                .hint("Effect of strokes; negative strengths do the opposite, which smooth has not"),
+            ParamDesc::float("depth", "Depth", 0.2).hard(0.0, 4.0).soft(0.0, 1.0).hint(
+                "Distance by which a full stroke of inflate, draw or crease moves the surface, in radii",
+            ),
             ParamDesc::curve("falloff", "Falloff", &[[0.0, 1.0], [1.0, 0.0]])
-                .hint("How much of the brush is felt, from its middle to its rim"),
+                .hint("Strength of the brush from its middle (left) to its rim (right)"),
             ParamDesc::float("spacing", "Spacing", 0.2)
                 .hard(0.01, 1.0)
                 .soft(0.05, 0.5)
-                .hint("Between dabs along the stroke, in radii"),
+                .hint("Distance between dabs along the stroke, in radii"),
             ParamDesc::bool("accumulate", "Accumulate", false)
-                .hint("Whether a stroke that crosses itself adds up; smooth and flatten always do"),
+                .hint("Adds up where a stroke crosses itself; smooth and flatten always do"),
             mirror("symmetry-x", "Mirror x", "Paints the mirror image across x as well"),
             mirror("symmetry-y", "Mirror y", "Paints the mirror image across y as well"),
             mirror("symmetry-z", "Mirror z", "Paints the mirror image across z as well"),
             ParamDesc::point("symmetry-center", "Mirror centre", [0.5; 3])
                 .unit(Unit::MODEL_LENGTH)
-                .hint("A point on all mirrors")
+                .hint("Point on all mirrors")
                 .group("Symmetry"),
         ]
     }
 
-    /// Whether a stroke acts on the surface as it was when it began, by the most that any part of it makes
-    /// samples feel.
+    /// Whether a stroke acts on the surface as it was when the stroke began, by the greatest weight that
+    /// any part of the stroke has for a sample.
     pub fn sweeps(&self) -> bool {
         !self.accumulate && matches!(self.brush, Brush::Inflate | Brush::Draw | Brush::Pinch | Brush::Crease)
     }
 
-    /// How much is felt at a distance of 0 to 1 radii. A crease is sharper than the rest.
+    /// Weight at a distance of 0 to 1 radii. A crease is sharper than the other brushes.
     pub fn falloff(&self, t: f64) -> f64 {
         let f = self.falloff.at(t);
         if self.brush == Brush::Crease { f * f } else { f }
     }
 
-    /// What a dab contributes to the middle of a long straight stroke, as a part of the whole: the length of
-    /// path that it stands for, over that which the falloff is worth.
+    /// Contribution of a dab to the middle of a long straight stroke, as a part of the whole: the length of
+    /// path that the dab stands for, over the integral of the falloff.
     pub fn exposure(&self) -> f64 {
         /// Intervals of Simpson's rule.
         const INTERVALS: u32 = 64;
@@ -140,8 +139,8 @@ impl<'a> SetBrush<'a> {
         self.spacing / (2.0 * mean).max(self.spacing)
     }
 
-    /// The displacement of a sample that feels all of the brush. `towards` leads to the stroke, `plane` to
-    /// the mean plane, and `grab` is what the stroke moved.
+    /// Displacement of a sample that feels all of the brush. `under` has the vectors from the sample to the
+    /// stroke and the mean plane, and the stroke's motion.
     pub fn displacement(&self, own_normal: DVec3, under: &Under) -> DVec3 {
         let lift = self.depth * self.strength;
         let pinch = |strength: f64| {
@@ -160,15 +159,15 @@ impl<'a> SetBrush<'a> {
     }
 }
 
-/// What is under a dab, as seen from one sample.
+/// Surroundings of a sample under a dab.
 #[derive(Debug, Clone, Copy)]
 pub struct Under {
-    /// The mean normal.
+    /// Mean normal.
     pub normal: DVec3,
-    /// To the nearest point of the stroke.
+    /// Vector to the nearest point of the stroke.
     pub towards: DVec3,
-    /// To a point of the mean plane.
+    /// Vector to a point of the mean plane.
     pub to_plane: DVec3,
-    /// From the stroke's start to its end.
+    /// Vector from the stroke's start to its end.
     pub grab: DVec3,
 }

@@ -1,9 +1,9 @@
-//! The surface as painted so far, and how to take strokes back.
+//! The surface as painted so far, and the way back to earlier states.
 //!
 //! Positions and normals after the first strokes are kept from one call to the next, with the keys of these
-//! strokes, so that one more stroke costs that stroke, and one less costs what it touched. What comes out is
-//! the same to the last bit as if all strokes had been painted anew: nothing but the order of strokes decides
-//! it.
+//! strokes, so that one more stroke costs that stroke, and one less costs the samples that it touched. The
+//! result is the same to the last bit as if all strokes had been painted anew: it depends on the strokes in
+//! their order alone.
 
 use crate::grid::HashGrid;
 use crate::surface::LinkedSurface;
@@ -11,10 +11,10 @@ use glam::{DVec3, Vec3};
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
-/// Samples that are remembered as they were before strokes, at most, per sample of the surface.
+/// Greatest number of samples' states before strokes that are remembered, for each sample of the surface.
 const REMEMBERED: usize = 4;
 
-/// Normals that are derived at once on one thread.
+/// Number of normals that are derived at once on one thread.
 const BLOCK: usize = 512;
 
 /// A sample as it was before a stroke.
@@ -29,7 +29,7 @@ struct Before {
 #[derive(Debug)]
 struct PaintedStroke {
     key: u64,
-    /// What it changed, as it was; nothing where that was forgotten, as it was too much.
+    /// Samples that the stroke changed, as they were; nothing where that was forgotten, as it was too much.
     before: Option<Vec<Before>>,
 }
 
@@ -38,17 +38,17 @@ struct PaintedStroke {
 /// Memory: up to 58 bytes a sample, and 112 more for taking back.
 pub struct Canvas {
     surface: u64,
-    /// Where the samples are, local coordinates.
+    /// Positions of the samples, in local coordinates.
     pub positions: Vec<Vec3>,
-    /// The surface's normals there.
+    /// Normals of the surface at the positions.
     pub normals: Vec<Vec3>,
-    /// Finds samples where they are.
+    /// Grid by which samples are found at their positions.
     pub grid: HashGrid,
     painted: VecDeque<PaintedStroke>,
-    /// What the stroke under way has changed so far.
+    /// Samples that the stroke under way has changed so far, as they were.
     before: Vec<Before>,
     is_remembered: Vec<bool>,
-    /// Samples whose normals are derived anew, with these: of use in a call alone.
+    /// Samples whose normals are derived anew, with the new normals: of use in a call alone.
     stale: Vec<(u32, Vec3)>,
     is_stale: Vec<bool>,
 }
@@ -69,13 +69,13 @@ impl Canvas {
         }
     }
 
-    /// Whether it is of this surface.
+    /// Whether the canvas is of this surface.
     pub fn is_of(&self, surface: &LinkedSurface) -> bool {
         self.surface == surface.id
     }
 
-    /// Takes strokes back until those that are left are the first of `keys`; how many that are. Nothing if it
-    /// cannot remember how it was then: all has to be painted anew.
+    /// Takes strokes back until the strokes that are left are the first of `keys`, and returns their
+    /// number. Nothing if the canvas cannot remember an earlier state: all has to be painted anew.
     pub fn take_back(&mut self, keys: impl Iterator<Item = u64>) -> Option<usize> {
         let common = self.painted.iter().zip(keys).take_while(|(p, key)| p.key == *key).count();
         while self.painted.len() > common {
@@ -89,14 +89,14 @@ impl Canvas {
         Some(common)
     }
 
-    /// A stroke is complete.
+    /// Ends a stroke, which is complete.
     pub fn finish(&mut self, key: u64) {
         let before = std::mem::take(&mut self.before);
         before.iter().for_each(|b| self.is_remembered[b.sample as usize] = false);
         self.painted.push_back(PaintedStroke { key, before: Some(before) });
         let sizes = self.painted.iter().filter_map(|p| p.before.as_ref()).map(Vec::len);
         let mut total: usize = sizes.sum();
-        // The last one is always remembered: it changes while it is drawn.
+        // The last stroke is always remembered: it changes while it is drawn.
         let earlier = self.painted.len() - 1;
         for stroke in self.painted.iter_mut().take(earlier) {
             if total <= REMEMBERED * self.positions.len() {
@@ -162,15 +162,15 @@ impl Canvas {
 /// The samples before anything was painted.
 #[derive(Debug, Clone, Copy)]
 pub struct UnpaintedSamples<'a> {
-    /// Local coordinates.
+    /// Positions in local coordinates.
     pub positions: &'a [Vec3],
     /// Unit normals.
     pub normals: &'a [Vec3],
 }
 
-/// The normal that a sample's rest normal becomes: what is perpendicular to the images of its tangent plane
-/// under the affine map that fits the displacements around it best. Exactly the rest normal where nothing
-/// around it moved.
+/// Normal that a sample's rest normal becomes: the direction perpendicular to the images of its tangent
+/// plane under the affine map that fits the displacements around it best. Exactly the rest normal where
+/// nothing around it moved.
 fn turned_normal(surface: &LinkedSurface, rest: &UnpaintedSamples<'_>, positions: &[Vec3], i: usize) -> Vec3 {
     let normal = rest.normals[i];
     let n = normal.as_dvec3();
@@ -193,7 +193,7 @@ fn turned_normal(surface: &LinkedSurface, rest: &UnpaintedSamples<'_>, positions
         }
     }
     let determinant = ss * tt - st * st;
-    // Nothing around it, or all in one line: there is no plane to turn.
+    // Without samples around it, or with all in one line, there is no plane to turn.
     if determinant <= 1e-6 * (ss + tt) * (ss + tt) || (ds, dt) == (DVec3::ZERO, DVec3::ZERO) {
         return normal;
     }

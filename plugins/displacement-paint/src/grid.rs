@@ -5,10 +5,10 @@ use glam::{DVec3, I64Vec3, Vec3};
 /// No sample.
 const NONE: u32 = u32::MAX;
 
-/// Rings of cells that are looked through before all samples are.
+/// Number of rings of cells that are looked through before all samples are.
 const RINGS: i64 = 6;
 
-/// The samples in each cell of a grid. Positions are not held: whoever calls has them.
+/// Samples in each cell of a grid. The grid does not hold positions: the caller has them.
 ///
 /// Memory: 16 bytes a sample at most.
 #[derive(Debug, Clone)]
@@ -35,7 +35,7 @@ impl HashGrid {
         grid
     }
 
-    /// The width of its cells.
+    /// Width of the grid's cells.
     pub fn cell(&self) -> f64 {
         self.cell
     }
@@ -62,7 +62,7 @@ impl HashGrid {
         }
     }
 
-    /// Sample `i` moves.
+    /// Moves sample `i` from one cell to another.
     pub fn relocate(&mut self, i: usize, from: Vec3, to: Vec3) {
         let (old, new) = (self.cell_of(from.as_dvec3()), self.cell_of(to.as_dvec3()));
         if old == new {
@@ -119,7 +119,7 @@ fn ring_of(home: I64Vec3, ring: i64) -> impl Iterator<Item = I64Vec3> {
     range().flat_map(move |x| {
         range().flat_map(move |y| {
             let inside = x.abs() < ring && y.abs() < ring;
-            // Of inner columns, the two ends alone.
+            // Inner columns of the ring are its two ends alone.
             let step = if inside { 2 * ring as usize } else { 1 };
             range().step_by(step.max(1)).map(move |z| {
                 let at = |a: i64, b: i64| a.saturating_add(b);

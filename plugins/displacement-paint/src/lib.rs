@@ -1,11 +1,11 @@
 //! Displacement painting: brush strokes that inflate, draw, grab, smooth, flatten, pinch and crease the
 //! surface.
 //!
-//! The tool that the paper's users finish with (T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform
-//! Deformation Size-Insensitive*, 2007, §6: "an inflating displacement tool"). The brushes are those of
-//! today's sculpting programs. A dab reaches what is near in space and connected on the same side of the
-//! surface; strokes are the same at any frame rate; and one more stroke costs that stroke, as the result of
-//! those before is kept.
+//! The tool with which the paper's users finish (T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making
+//! Freeform Deformation Size-Insensitive*, 2007, §6: "an inflating displacement tool"). The brushes are
+//! those of today's sculpting programs. A dab reaches samples that are near in space and connected on the
+//! same side of the surface; strokes are the same at any frame rate; and one more stroke costs that stroke,
+//! as the result of those before is kept.
 
 mod brush;
 mod canvas;
@@ -28,14 +28,14 @@ use surface::LinkedSurface;
 /// The plugin.
 struct DisplacementPaint;
 
-/// What strokes are painted on.
+/// Surface on which strokes are painted.
 struct PreparedSheets {
     surface: LinkedSurface,
-    /// What each sample stands for, relative to the others; nothing where that is not known.
+    /// Area for which each sample stands, relative to the others; empty where that is not known.
     areas: Vec<f32>,
 }
 
-/// What was painted last, and working memory.
+/// Canvas of the last call, and working memory.
 #[derive(Default)]
 struct PaintScratch {
     canvas: Option<Canvas>,
@@ -79,7 +79,8 @@ impl Deformer for DisplacementPaint {
         }
         let strokes = input.strokes();
         let anew = || Canvas::new(&state.surface, rest.positions, rest.normals);
-        // Out of the scratch while it is worked on: whoever fails or panics leaves nothing half done there.
+        // The canvas is taken out of the scratch while it is worked on: a call that fails or panics leaves
+        // nothing half done there.
         let mut work = std::mem::take(&mut easel.work);
         let kept = easel.canvas.take().filter(|canvas| canvas.is_of(&state.surface));
         let kept = kept.and_then(|mut canvas| {
@@ -112,10 +113,10 @@ fn rest<'a>(samples: &Samples<'a>) -> UnpaintedSamples<'a> {
     }
 }
 
-/// The areas that samples at such distances from each other stand for, relative to the largest ordinary one:
+/// Areas for which samples at such distances from each other stand, relative to the largest ordinary one:
 /// at most 1.
 fn areas(spacing: &[f32]) -> Vec<f32> {
-    /// What is farther apart than so many times the median is no ordinary sample.
+    /// Multiple of the median spacing beyond which a sample is not ordinary.
     const ORDINARY: f32 = 4.0;
     let mut sorted = spacing.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);

@@ -1,13 +1,13 @@
 //! Painting a stroke, dab by dab.
 //!
-//! Draw, inflate, pinch and crease move the surface as it was when the stroke began: a sample feels the most
-//! that any part of the stroke makes it feel, as a brush that is drawn along sweeps a capsule. So a stroke is
-//! even however it was divided, and crosses itself without a lump. If they accumulate, as smooth and flatten
-//! always do, each dab acts on what the dabs before have made, and counts by the length of path that it
-//! stands for: the limit of many is a line integral.
+//! Draw, inflate, pinch and crease move the surface as it was when the stroke began: a sample feels the
+//! greatest weight that any part of the stroke has for it, as a brush that is drawn along sweeps a capsule.
+//! So a stroke is even however it was divided, and crosses itself without a lump. If they accumulate, as
+//! smooth and flatten always do, each dab acts on the result of the dabs before, and counts by the length
+//! of path that it stands for: the limit of many dabs is a line integral.
 //!
 //! Normals are derived anew after every step that moved something: strokes over strokes bulge in the
-//! direction of the surface as it is.
+//! direction of the present surface.
 
 use crate::brush::{Brush, SetBrush, Under};
 use crate::canvas::{Canvas, UnpaintedSamples};
@@ -17,16 +17,17 @@ use crate::surface::LinkedSurface;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult, Stroke};
 
-/// How far the smooth brush evens out at full strength, in radii.
+/// Length over which the smooth brush evens out at full strength, in radii of the brush.
 const SMOOTH_LENGTH: f64 = 0.2;
-/// Most passes of smoothing a dab: where samples are so dense that more would be due, it smooths less.
+/// Greatest number of passes of smoothing for a dab: where samples are so dense that more would be due, the
+/// dab smooths less.
 const MOST_PASSES: f64 = 12.0;
 /// The largest part of the way to the neighbours' mean in one pass.
 const STABLE: f64 = 0.5;
-/// How much of the distance to the plane a full stroke leaves: its logarithm.
+/// Negative logarithm of the part of the distance to the plane that a full stroke leaves.
 const FLATTEN: f64 = 2.0;
 
-/// Samples that are smoothed at once on one thread.
+/// Number of samples that are smoothed at once on one thread.
 const BLOCK: usize = 512;
 
 /// Working memory, kept from stroke to stroke.
@@ -34,17 +35,18 @@ const BLOCK: usize = 512;
 pub struct StrokeWorkspace {
     reach: SurfaceWays,
     felt: Vec<Felt>,
-    /// What a dab and its mirror images do.
+    /// Pushes of a dab and its mirror images, each by itself.
     pushed: Vec<Pushed>,
-    /// What a dab and its mirror images do, each sample once.
+    /// Pushes of a dab and its mirror images, each sample once.
     pushes: Vec<Push>,
-    /// How much of the stroke each sample has felt so far, and where that moves it; 0 between strokes.
+    /// Weight of the stroke that each sample has felt so far, and the displacement by that; 0 between
+    /// strokes.
     covered: Vec<f64>,
     offsets: Vec<DVec3>,
     moved: Vec<u32>,
 }
 
-/// What one image of a dab does to a sample.
+/// Push of one image of a dab on a sample.
 #[derive(Debug, Clone, Copy)]
 struct Pushed {
     sample: u32,
@@ -61,7 +63,7 @@ struct Push {
     by: DVec3,
 }
 
-/// One of each mirror image that there is.
+/// One value for each mirror image that there is.
 type Images<T> = [Option<T>; IMAGES];
 
 /// Paints on a canvas.
@@ -70,7 +72,7 @@ pub struct Painter<'a> {
     pub surface: &'a LinkedSurface,
     /// The samples before anything was painted.
     pub rest: UnpaintedSamples<'a>,
-    /// What each sample stands for, relative to the others; or nothing.
+    /// Area for which each sample stands, relative to the others; or none.
     pub areas: &'a [f32],
 }
 
@@ -98,7 +100,7 @@ impl Painter<'_> {
         }
         work.covered.resize(self.surface.len(), 0.0);
         work.offsets.resize(self.surface.len(), DVec3::ZERO);
-        // Sweeps are on the surface as it is now: all spots are known beforehand.
+        // Sweeps are on the present surface: all spots are known beforehand.
         let all = if tool.sweeps() { &dabs[..] } else { &[] };
         let mut spots: Vec<Images<Spot>> = Vec::with_capacity(all.len());
         for dab in all {
@@ -125,8 +127,8 @@ impl Painter<'_> {
         self.shift_covered(canvas, work, host)
     }
 
-    /// Does to the canvas what was gathered of a dab, which has this share of the stroke's exposure. Brushes
-    /// that do not accumulate only note how far they cover each sample.
+    /// Applies the gathered pushes of a dab to the canvas, with this share of the stroke's exposure.
+    /// Brushes that do not accumulate only note by how much they cover each sample.
     fn push(
         &self,
         canvas: &mut Canvas,
@@ -166,7 +168,7 @@ impl Painter<'_> {
         Ok(())
     }
 
-    /// Where a dab and its mirror images are on the surface.
+    /// Spots of a dab and its mirror images on the surface.
     fn spots(
         &self,
         canvas: &Canvas,
@@ -182,8 +184,8 @@ impl Painter<'_> {
         spots
     }
 
-    /// What a dab and its mirror images do to each sample under them: the mean of what they would have it do,
-    /// and the most that any of them makes it feel.
+    /// Gathers the pushes of a dab and its mirror images on each sample under them: the mean of their
+    /// displacements, and the greatest of their weights.
     fn gather(
         &self,
         canvas: &Canvas,
@@ -221,7 +223,7 @@ impl Painter<'_> {
         Finder { surface: self.surface, areas: self.areas }
     }
 
-    /// Moves samples by what a dab would have them do, as far as `amount` makes of how much they feel.
+    /// Moves samples by their pushes, by the part that `amount` makes of each one's weight.
     fn shift(
         &self,
         canvas: &mut Canvas,
@@ -271,8 +273,7 @@ impl Painter<'_> {
         self.refresh(canvas, work, host)
     }
 
-    /// How far the samples beside one lie above it on average, along its normal, and their mean squared
-    /// distance.
+    /// Mean height of the samples beside one above it, along its normal, and their mean squared distance.
     fn bump(&self, canvas: &Canvas, i: usize) -> (DVec3, f64) {
         let (p, n) = (canvas.positions[i], canvas.normals[i].as_dvec3());
         let beside = self.surface.beside(i);
@@ -293,7 +294,7 @@ impl Painter<'_> {
     }
 }
 
-/// Adds what a dab makes samples feel more than any before it.
+/// Adds the part of a dab's weights that exceeds the weights of all dabs before.
 fn cover(work: &mut StrokeWorkspace) {
     for push in &work.pushes {
         let i = push.sample as usize;
@@ -308,14 +309,14 @@ fn cover(work: &mut StrokeWorkspace) {
     }
 }
 
-/// The part of the way that is gone after so much time, if what is left decreases steadily; away from the
-/// target where the time is negative.
+/// Part of the way that is gone after a time, if the rest decreases steadily; away from the target where
+/// the time is negative.
 fn relaxed(time: f64) -> f64 {
     (1.0 - (-time.abs()).exp()).copysign(time)
 }
 
 impl Push {
-    /// The sum of all images of a dab that a sample feels.
+    /// Sum of all images of a dab that a sample feels.
     fn sum(images: &[Pushed]) -> Self {
         let sample = images[0].sample;
         if let [only] = images {

@@ -1,23 +1,23 @@
-//! Where a stroke's dabs are: its path, divided by arc length.
+//! The dabs of a stroke: its path, divided by arc length.
 //!
-//! A dab's place depends on the path alone, not on how many points the user's machine recorded on it. Dabs
-//! lie at 0, `step`, 2 `step`, ... and at the path's end, so that those of a path are among those of a longer
-//! one: what is drawn already does not swim while the stroke goes on.
+//! A dab's place depends on the path alone, not on the number of points that the user's machine recorded on
+//! it. Dabs lie at 0, `step`, 2 `step`, ... and at the path's end, so that those of a path are among those
+//! of a longer one: a part that is drawn already does not swim while the stroke goes on.
 
 use glam::{BVec3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, Stroke};
 
-/// Most dabs of a stroke, which bounds the memory that it takes.
+/// Greatest number of dabs of a stroke, which bounds the memory that it takes.
 const MOST_DABS: f64 = 1e5;
 
 /// A place on the path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dab {
-    /// Where it is, local coordinates.
+    /// Place of the dab, in local coordinates.
     pub at: DVec3,
-    /// The pen's, 0 to 1.
+    /// Pressure of the pen, 0 to 1.
     pub pressure: f64,
-    /// The length of path that it stands for, in steps: 1, but for the last one.
+    /// Length of path that the dab stands for, in steps: 1, but less for the last one.
     pub share: f64,
 }
 
@@ -51,7 +51,7 @@ pub fn dabs(stroke: &Stroke<'_>, step: f64) -> PluginResult<Vec<Dab>> {
         before += here;
     }
     let rest = length - f64::from(next - 1) * step;
-    // Less is nothing but rounding.
+    // A shorter rest is nothing but rounding.
     if rest > 1e-9 * step {
         let last = points.len() - 1;
         dabs.push(Dab { at: points[last].into(), pressure: pressure(last), share: rest / step });
@@ -59,20 +59,20 @@ pub fn dabs(stroke: &Stroke<'_>, step: f64) -> PluginResult<Vec<Dab>> {
     Ok(dabs)
 }
 
-/// Most mirror images of a dab, itself included.
+/// Greatest number of mirror images of a dab, itself included.
 pub const IMAGES: usize = 8;
 
 /// Mirrors through planes across axes.
 #[derive(Debug, Clone, Copy)]
 pub struct Symmetry {
-    /// A point on all planes, local coordinates.
+    /// Point on all planes, in local coordinates.
     pub center: DVec3,
-    /// The axes that there is a plane across.
+    /// Axes across which there is a plane.
     pub axes: BVec3,
 }
 
 impl Symmetry {
-    /// The images that there are: numbers whose bit `i` tells whether axis `i` is mirrored.
+    /// Images that there are: numbers whose bit `i` says whether axis `i` is mirrored.
     pub fn images(&self) -> impl Iterator<Item = usize> + use<> {
         let axes = self.axes.bitmask() as usize;
         (0..IMAGES).filter(move |image| image & !axes == 0)
@@ -93,8 +93,8 @@ fn mirrored(image: usize) -> BVec3 {
     BVec3::new(image & 1 != 0, image & 2 != 0, image & 4 != 0)
 }
 
-/// The sum over images, which is the mirror image of itself to the last bit where the values are mirror
-/// images: mirroring an axis exchanges the two sides of one level of additions.
+/// Sum over images, whose mirror image is the sum of the mirrored values to the last bit: mirroring an axis
+/// exchanges the two sides of one level of additions.
 pub fn sum<T: Copy + std::ops::Add<Output = T>>(v: [T; IMAGES]) -> T {
     ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]))
 }

@@ -1,9 +1,9 @@
-//! The spot under a dab, and how much of the brush each sample feels.
+//! The spot under a dab, and the weight of the brush for each sample.
 //!
-//! A sample feels as much as its distance in space tells, as long as the way along the surface is not much
+//! A sample's weight follows from its distance in space, as long as the way along the surface is not much
 //! longer: paths on the samples' links are, by nature, somewhat longer than the surface's own, and these
-//! somewhat longer than the chord. What they are longer beyond that is added to the distance. So the brush
-//! fades where the surface turns away, and does not reach the next finger, without any step as it moves.
+//! somewhat longer than the chord. Their excess beyond that is added to the distance. So the brush fades
+//! where the surface turns away, and does not reach the next finger, without any step as it moves.
 
 use crate::canvas::Canvas;
 use crate::surface::LinkedSurface;
@@ -12,28 +12,28 @@ use simod_geometry::sheet_distance;
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
-/// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths
-/// on links, and that of an arc of a third of a circle to its chord.
+/// Ratio of the way along the links to the distance in space up to which nothing is added: about 1.1 for
+/// paths on links, times that of an arc of a third of a circle to its chord.
 const DETOUR: f64 = 1.3;
 
-/// Samples whose normals are farther from the dab's than this cosine feel nothing: the back of a thin wall.
+/// Cosine between the normals of a sample and the dab below which the sample feels nothing: the back of a
+/// thin wall.
 const AWAY: f64 = -0.5;
 
-/// Within this cosine they feel all of it.
+/// Cosine from which on the sample feels all of the brush.
 const TOWARDS: f64 = 0.0;
 
-/// How quickly samples count less with their distance, for the brush's plane.
+/// Exponent by which samples count less with their distance, for the brush's plane.
 const WIDE: i32 = 2;
 
-/// How quickly samples count less with their distance, for the height of the brush's middle: over details,
-/// but without cutting through what is round.
+/// Exponent by which samples count less with their distance, for the height of the brush's middle: over
+/// details, but without cutting through a round surface.
 const NARROW: i32 = 6;
 
-/// Samples that are looked at at once on one thread.
+/// Number of samples that are looked at at once on one thread.
 const BLOCK: usize = 512;
 
-/// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the
-/// samples.
+/// Factor by which sums are taken in whole numbers, so that they do not depend on the order of the samples.
 const WHOLE: f64 = (1_u64 << 36) as f64;
 
 /// Ways along the surface from one sample, and memory for finding them.
@@ -41,17 +41,17 @@ const WHOLE: f64 = (1_u64 << 36) as f64;
 pub struct SurfaceWays {
     length: Vec<f32>,
     found: Vec<(u32, f64)>,
-    /// Samples whose neighbours may be nearer by way of them.
+    /// Samples by way of which their neighbours may be nearer.
     open: VecDeque<u32>,
     is_open: Vec<bool>,
 }
 
 impl SurfaceWays {
-    /// The samples that are no farther than `limit` from `seed` along the surface, and how far they are.
+    /// Samples that are no farther than `limit` from `seed` along the surface, with their distances.
     ///
-    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through
-    /// a maze, 1959): where all links are about as long, hardly any does twice, and a queue costs less than a
-    /// heap.
+    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path
+    /// through a maze, 1959): as all links are about as long, hardly any label is corrected twice, and a
+    /// queue costs less than a heap.
     fn from(
         &mut self,
         seed: usize,
@@ -127,7 +127,7 @@ impl SurfaceWays {
 /// A round place on the surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
-    /// The middle of the spot, and what is there.
+    /// Middle of the spot, with normal and pressure.
     pub node: WayPoint,
     /// A point of the mean plane under the brush.
     pub origin: DVec3,
@@ -137,7 +137,7 @@ pub struct Spot {
 /// A point of the brush's way.
 #[derive(Debug, Clone, Copy)]
 pub struct WayPoint {
-    /// On the surface.
+    /// Place on the surface.
     pub at: DVec3,
     /// The mean normal under the brush.
     pub normal: DVec3,
@@ -156,8 +156,9 @@ impl WayPoint {
     }
 }
 
-/// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way
-/// since the one before to half way to the next. A path of straight pieces would show at each of its corners.
+/// Way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way
+/// since the one before to half way to the next. A path of straight pieces would show at each of its
+/// corners.
 #[derive(Debug, Clone, Copy)]
 pub struct DabSweep {
     start: WayPoint,
@@ -167,7 +168,7 @@ pub struct DabSweep {
 }
 
 impl DabSweep {
-    /// No way at all: a round dab.
+    /// Sweep without a way: a round dab.
     pub fn round(spot: &Spot) -> Self {
         Self::between(None, spot, None)
     }
@@ -187,7 +188,7 @@ impl DabSweep {
         WayPoint::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
     }
 
-    /// Where it is nearest to a point.
+    /// Point of the sweep that is nearest to `p`.
     fn nearest(&self, p: DVec3) -> WayPoint {
         const STEPS: u32 = 4;
         const NEWTON: u32 = 3;
@@ -213,7 +214,7 @@ impl DabSweep {
         self.node(if distance(&best) <= distance(&start) { best } else { start })
     }
 
-    /// How far its ends are from its middle, at most.
+    /// Greatest distance of the sweep's ends from its middle.
     fn extent(&self) -> f64 {
         self.middle.at.distance(self.start.at).max(self.middle.at.distance(self.end.at))
     }
@@ -224,25 +225,25 @@ impl DabSweep {
 pub struct Felt {
     /// The sample's index.
     pub sample: u32,
-    /// How much of the brush it feels, 0 to 1.
+    /// Weight of the brush for the sample, 0 to 1.
     pub weight: f64,
-    /// From it to the nearest point of the brush's way.
+    /// Vector from the sample to the nearest point of the brush's way.
     pub to_path: DVec3,
-    /// The mean normal there.
+    /// Mean normal at that point.
     pub normal: DVec3,
 }
 
 /// A brush's shape.
 pub struct BrushShape<'a> {
-    /// Local coordinates.
+    /// Radius in local coordinates.
     pub radius: f64,
-    /// How much is felt at a distance of 0 to 1 radii.
+    /// Weight at a distance of 0 to 1 radii.
     pub falloff: &'a (dyn Fn(f64) -> f64 + Sync),
-    /// Whether what faces away feels it as well.
+    /// Whether samples that face away feel the brush as well.
     pub both_sides: bool,
 }
 
-/// A weighted mean of samples' places and normals, the same in whatever order they come.
+/// Weighted mean of samples' places and normals, the same in whatever order they come.
 #[derive(Default)]
 struct Mean {
     place: [i64; 3],
@@ -251,9 +252,9 @@ struct Mean {
 }
 
 impl Mean {
-    /// One more, where all numbers are at most about 1.
+    /// Adds a sample, whose numbers are all at most about 1.
     fn add(&mut self, place: DVec3, normal: DVec3, weight: f64) {
-        // Towards zero, which is the same for mirror images.
+        // Numbers are cut off towards zero, which is the same for mirror images.
         let whole = |x: f64| (WHOLE * x) as i64;
         for k in 0..3 {
             self.place[k] += whole(weight * place[k]);
@@ -271,16 +272,16 @@ impl Mean {
     }
 }
 
-/// Finds what is under dabs.
+/// Finder of the samples under dabs.
 pub struct Finder<'a> {
     /// The links.
     pub surface: &'a LinkedSurface,
-    /// What each sample stands for, relative to the others.
+    /// Area for which each sample stands, relative to the others.
     pub areas: &'a [f32],
 }
 
 impl Finder<'_> {
-    /// The place on the surface near `p`; nothing if there is none within the radius.
+    /// Spot on the surface near `p`; nothing if there is none within the radius.
     pub fn spot(
         &self,
         canvas: &Canvas,
@@ -291,8 +292,8 @@ impl Finder<'_> {
     ) -> Option<Spot> {
         let seed = self.seed(canvas, p, radius)?;
         let near = reach.inside(seed, p, radius, self.surface, &canvas.positions);
-        // A single sample's normal may be that of a groove's wall: first those around it say which side this
-        // is.
+        // A single sample's normal may be that of a groove's wall: first the samples around it say which
+        // side this is.
         let mean = |facing: DVec3, cosine: f64, sharpness: i32| {
             let mut mean = Mean::default();
             for &(i, distance) in near {
@@ -316,8 +317,8 @@ impl Finder<'_> {
         Some(Spot { node: WayPoint { at, normal, pressure }, origin, seed })
     }
 
-    /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent
-    /// plane the point lies.
+    /// Nearest sample to `p`; where several are about as near, as at thin walls, the one near whose tangent
+    /// plane `p` lies.
     fn seed(&self, canvas: &Canvas, p: DVec3, radius: f64) -> Option<usize> {
         let nearest = canvas.grid.nearest(&canvas.positions, p, radius)?;
         let distance = |i: usize| canvas.positions[i].as_dvec3().distance(p);
@@ -375,7 +376,7 @@ impl Finder<'_> {
     }
 }
 
-/// 0 below the first number, 1 above the second, smooth in between.
+/// Smooth step: 0 below the first number, 1 above the second.
 fn step(from: f64, to: f64, x: f64) -> f64 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

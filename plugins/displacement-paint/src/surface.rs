@@ -1,4 +1,4 @@
-//! What is known of the surface before anything is painted: which samples are beside each other on it.
+//! The surface before anything is painted: the links between samples that are beside each other on it.
 //!
 //! The nearest samples in space may be those of the other side of a thin wall, or of the next finger: they
 //! are told apart by the [sheet metric](simod_geometry::chord_length).
@@ -8,25 +8,26 @@ use glam::Vec3;
 use simod_geometry::chord_length;
 use simod_plugin_api::{Graph, Host, PluginResult};
 
-/// Links of each sample, before they are made to go both ways.
+/// Number of links of each sample, before links are made to go both ways.
 const LINKS: usize = 10;
 
-/// Most of them where several are equally far: left and right of a mirror, all or none are linked.
+/// Greatest number of these where several samples are equally far: left and right of a mirror, all or none
+/// are linked.
 const MOST_LINKS: usize = 16;
 
-/// Samples whose links are found at once on one thread.
+/// Number of samples whose links are found at once on one thread.
 const BLOCK: usize = 4096;
 
 /// Width of the grid's cells, in spacings of the samples.
 const CELL: f64 = 2.0;
 
-/// The samples' links on the surface, and where they are at rest.
+/// The samples' links on the surface, and their grid at rest.
 pub struct LinkedSurface {
     starts: Vec<u32>,
     links: Vec<u32>,
-    /// Where all samples are at rest.
+    /// Grid of all samples at rest.
     pub grid: HashGrid,
-    /// Tells it from other surfaces of this process.
+    /// Number that tells the surface from others of this process.
     pub id: u64,
 }
 
@@ -53,7 +54,7 @@ impl LinkedSurface {
             link_lengths.map(|(i, l)| positions[i].distance(positions[l[0] as usize])).collect();
         lengths.sort_unstable_by(f32::total_cmp);
         let spacing = lengths.get(lengths.len() / 2).map_or(0.0, |&l| f64::from(l));
-        // Where all samples are in one place, any width will do.
+        // With all samples in one place, any width will do.
         let grid = HashGrid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
         let id = SURFACES.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         Ok(Self { starts, links, grid, id })
@@ -71,7 +72,7 @@ impl LinkedSurface {
     }
 }
 
-/// The nearest of sample `i`'s neighbours that lie on its sheet; `u32::MAX` in unused places.
+/// Nearest of sample `i`'s neighbours that lie on its sheet; `u32::MAX` in unused places.
 fn nearest_on_sheet(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; MOST_LINKS] {
     let mut best = [(f32::INFINITY, u32::MAX); MOST_LINKS];
     for &j in near {
@@ -87,8 +88,8 @@ fn nearest_on_sheet(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize
     best.map(|(distance, j)| if distance <= last { j } else { u32::MAX })
 }
 
-/// The links of all samples, and their reverses: where each one's begin, and all of them. Own links come
-/// first.
+/// Links of all samples with their reverses: the beginning of each sample's links, and the list of all. A
+/// sample's own links come first.
 fn both_ways(nearest: &[[u32; MOST_LINKS]]) -> (Vec<u32>, Vec<u32>) {
     let own = |i: usize| nearest[i].iter().copied().filter(|&j| j != u32::MAX);
     let reverses = || {

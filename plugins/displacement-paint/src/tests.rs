@@ -9,7 +9,7 @@ use simod_plugin_api::{Bounds, ErrorCode, Graph, HostCalls, Param, ParamKind, Pa
 const BOUNDS: Bounds = Bounds { min: [-1.0; 3], max: [1.0; 3] };
 const NEIGHBOURS: usize = 32;
 
-/// Samples with all that a host tells of them.
+/// Samples with all that a host gives of them.
 struct Model {
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -38,7 +38,7 @@ impl Model {
         Self { positions, normals, spacing, starts, neighbours }
     }
 
-    /// A sphere of radius 1, with its normals, and bumps of some height that these do not tell of.
+    /// Sphere of radius 1, with its normals, and bumps of some height that the normals do not show.
     fn sphere(count: usize, bumps: f64) -> Self {
         Self::new((0..count).map(|i| {
             let d = on_sphere(i, count);
@@ -176,7 +176,7 @@ impl Painting {
 
 const BRUSHES: [&str; 7] = ["inflate", "draw", "grab", "smooth", "flatten", "pinch", "crease"];
 
-/// On the unit sphere, from one direction to another.
+/// Arc on the unit sphere, from one direction to another.
 fn arc(from: [f64; 3], to: [f64; 3], points: usize) -> Vec<[f64; 3]> {
     let (a, b) = (DVec3::from(from), DVec3::from(to));
     (0..points).map(|i| a.lerp(b, i as f64 / (points - 1) as f64).normalize_or_zero().to_array()).collect()
@@ -252,7 +252,7 @@ proptest! {
         let accumulate = [f64::from(u8::from(accumulate))];
         let out = model.paint(&[Painting { radius, accumulate, ..Painting::new(BRUSHES[brush], &path) }]);
         for (p, q) in model.pairs(&out) {
-            // Whoever acts on what was made may reach a little farther, as the surface moves.
+            // A brush that acts on its own results may reach a little farther, as the surface moves.
             prop_assert!(p == q || distance_to(&path, p) <= 1.1 * radius + 0.01, "{}", BRUSHES[brush]);
         }
     }
@@ -319,7 +319,7 @@ fn narrower_spacing_converges() {
             };
             let finest = at(0.0125);
             let errors = [0.4, 0.1].map(|spacing| difference(&at(spacing), &finest));
-            // As a fraction of what the default does.
+            // The error is compared with the default's whole effect.
             let whole = difference(&finest, &model.positions);
             assert!(errors[1] < 0.12 * whole, "{brush}, {accumulate:?}: {errors:?} of {whole}");
         }
@@ -381,7 +381,7 @@ fn smoothing_lowers_bumps_whatever_the_density() {
         let model = Model::sphere(count, 0.01);
         let path = arc([1.0, -0.4, 0.1], [1.0, 0.4, 0.1], 20);
         let out = model.paint(&[Painting { radius: 0.4, ..Painting::new("smooth", &path) }]);
-        // Above the mean of the nearest others.
+        // Roughness is the height above the mean of the nearest others.
         let roughness = |of: &[[f32; 3]]| {
             let height = |i: usize| DVec3::from(of[i].map(f64::from)).length();
             let inner =
@@ -495,7 +495,7 @@ fn the_other_side_of_a_thin_wall_stays() {
         let model = Model::wall(60, thickness);
         let half = model.positions.len() / 2;
         for brush in BRUSHES {
-            // In the middle, and beside the rim.
+            // The strokes are in the middle of the wall, and beside its rim.
             for y in [0.0, 0.9] {
                 let path = [[-0.4, y, 0.5 * thickness], [0.3, y, 0.5 * thickness]];
                 let out = model.paint(&[Painting::new(brush, &path)]);
@@ -510,7 +510,7 @@ fn the_other_side_of_a_thin_wall_stays() {
 #[test]
 fn the_other_finger_stays() {
     let model = Model::fingers();
-    // Where the left finger faces the right one.
+    // The path is on the side of the left finger that faces the right one.
     let path = [[-0.01, 0.4, 0.0], [-0.01, 0.6, 0.0]];
     for brush in BRUSHES {
         let out = model.paint(&[Painting { radius: 0.08, ..Painting::new(brush, &path) }]);

@@ -1,4 +1,4 @@
-//! The body: its energy by where the corners of its lattice are, and the derivatives.
+//! Body: its energy as a function of the positions of its lattice's corners, and the derivatives.
 //!
 //! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that
 //! thin parts of nearly constant volume bend; changes of shape at eight points, which lie a little nearer to
@@ -29,22 +29,22 @@ pub struct Body {
     /// The cells of the body.
     pub lattice: HexMesh,
     springs: Vec<Spring>,
-    /// What the springs tie each corner by.
+    /// Sum of the springs' weights at each corner.
     ties: Vec<f64>,
-    /// How much of the body is about each corner.
+    /// Volume of the body about each corner.
     masses: Vec<f64>,
-    /// What resists changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
+    /// Resistance to changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
     modulus: f64,
     slopes: Slopes,
-    /// How much of a cell each of its points stands for.
+    /// Volume that each of a cell's points stands for.
     amounts: Vec<[f64; 8]>,
     multilevel: Multilevel,
 }
 
-/// How all cells are deformed.
+/// Gradients of the deformation in all cells.
 pub type BodyGradients = Vec<CellGradients>;
 
-/// What acts on the body.
+/// Loads on the body.
 #[derive(Debug)]
 pub struct Load<'a> {
     /// The places of the regions.
@@ -56,9 +56,9 @@ pub struct Load<'a> {
 }
 
 impl Body {
-    /// A lattice with what holds it, of a material of this Poisson's ratio.
+    /// Body of a lattice with the springs that hold it, of a material of this Poisson's ratio.
     pub fn new(lattice: HexMesh, springs: Vec<Spring>, poisson: f64) -> Self {
-        // By how much nearer: see the head of this file.
+        // Factor by which the points lie nearer to the middle: see the head of this file.
         let near = ((1.0 + poisson) / (1.5 * (1.0 + poisson * poisson))).sqrt();
         let off = |n: usize| 0.5 + (n as f64 - 0.5) * near / 3.0_f64.sqrt();
         let of = |at: DVec3| slopes(at).map(|slope| slope / lattice.size);
@@ -87,7 +87,7 @@ impl Body {
         (3.0 * modulus + 2.0) / (modulus + 1.0)
     }
 
-    /// How the cell of a place is deformed there.
+    /// Gradient of the deformation at a place, in the place's cell.
     pub fn gradient(&self, place: CellPoint, x: &[DVec3]) -> DMat3 {
         let slopes = slopes(place.at).map(|slope| slope / self.lattice.size);
         deformation(&self.lattice.cells[place.cell as usize].map(|c| x[c as usize]), &slopes)
@@ -107,7 +107,7 @@ impl Body {
         Ok(all)
     }
 
-    /// How the body moves about each corner: to shifts, by the mean of how the cells around are deformed.
+    /// Map of the body about each corner, to shifts: the mean of the maps of the cells around.
     pub fn corner_maps(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
         let gradients = self.gradients(x, host)?;
         let mut maps = vec![DAffine3::IDENTITY; x.len()];
@@ -119,7 +119,8 @@ impl Body {
                     sum += (gradients[*cell as usize].middle - DMat3::IDENTITY) * amount;
                     whole += amount;
                 }
-                // Half of the slope: so the blend of two corners has what is quadratic between them exactly.
+                // Slopes count by half: so the blend of two corners has quadratic functions between them
+                // exactly.
                 let (matrix3, rest) = (sum * (0.5 / whole), self.lattice.rest[i]);
                 *map = DAffine3 { matrix3, translation: x[i] - rest - matrix3 * rest };
             }
@@ -167,8 +168,8 @@ impl Body {
         Ok((energy, forces))
     }
 
-    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear
-    /// modulus than it is.
+    /// Change of the forces where corners are moved, if the material is taken for stiffer by a part of its
+    /// shear modulus.
     pub fn change(
         &self,
         gradients: &BodyGradients,
@@ -195,8 +196,8 @@ impl Body {
         Ok(forces)
     }
 
-    /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the
-    /// material).
+    /// Change of the forces as [`change`](Self::change) gives it, for a field that is as even as it can be
+    /// (the Laplacian instead of the material).
     pub fn even(&self, by: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut cells = vec![[Eight::ZERO; 3]; self.lattice.cells.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
@@ -208,7 +209,7 @@ impl Body {
         Ok(forces)
     }
 
-    /// How strongly each target draws at each corner.
+    /// Weight of a target at each corner, by its springs.
     pub fn draws(&self, target: u32) -> Vec<f64> {
         let mut draws = vec![0.0; self.lattice.rest.len()];
         for spring in self.springs.iter().filter(|s| s.target == target) {
@@ -229,7 +230,7 @@ impl Body {
         }
     }
 
-    /// Sums up at corners what cells give, in the order of these.
+    /// Sums up the forces of cells at each corner, in the order of the cells.
     fn gather<'a>(
         &self,
         out: &mut [DVec3],
@@ -246,14 +247,14 @@ impl Body {
         })
     }
 
-    /// For [`Multilevel::apply`], by [`precondition`](Self::precondition).
+    /// Inverse stiffnesses for [`Multilevel::apply`], by [`precondition`](Self::precondition).
     pub fn inverse(&self, touches: &[Touch]) -> Inverse {
         let mut ties = self.ties.clone();
         touches.iter().for_each(|touch| touch.tie(&self.lattice, &mut ties));
         self.multilevel.inverse(&ties)
     }
 
-    /// About what would take a residual away.
+    /// Approximates the displacements that take a residual away.
     pub fn precondition(&self, inverse: &Inverse, residual: &[DVec3], out: &mut Vec<DVec3>) {
         self.multilevel.apply(inverse, residual, out);
     }
@@ -302,8 +303,8 @@ impl WithSimd for CellForces<'_> {
     }
 }
 
-/// How the forces of cells change: of the material, that is deformed and stiffer by a part, or of what evens
-/// out.
+/// Computation of how forces of cells change: by the material, taken for stiffer by a part, or by the
+/// Laplacian that evens out.
 struct Changes<'a> {
     body: &'a Body,
     of: Option<(&'a BodyGradients, f64)>,
@@ -334,15 +335,15 @@ impl WithSimd for Changes<'_> {
     }
 }
 
-/// Stresses by how much their points stand for, and that of the middle.
+/// Stresses at the points, weighted by the points' volumes, and that of the middle.
 #[inline(always)]
 fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> CellGradients {
     CellGradients { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
-/// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it
-/// is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low` along each
-/// axis.
+/// Part of a cell that each of its points stands for, so that linear functions are summed up over the filled
+/// part as it is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low`
+/// along each axis.
 fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     // Corners are numbered by one bit for each axis.
     for bit in [1, 2, 4] {
@@ -359,7 +360,7 @@ fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     raised.map(|m| m * whole.max(LEAST) / sum)
 }
 
-/// How a cell is deformed where its weights have these slopes.
+/// Gradient of a cell's deformation at a point where the corners' weights have these slopes.
 fn deformation(corners: &[DVec3; 8], slopes: &[DVec3; 8]) -> DMat3 {
     let mut sum = DMat3::ZERO;
     for (x, s) in corners.iter().zip(slopes) {

@@ -1,6 +1,6 @@
-//! How a cell is deformed at eight points and in its middle, and what forces at its corners come of stresses
-//! there. The points lie beside each other, so that the compiler makes vectors of them; the same numbers come
-//! out of any.
+//! Gradients of a cell's deformation at eight points and in its middle, and the forces at its corners that
+//! stresses at these points make. The points lie beside each other, so that the compiler makes vectors of
+//! them; the same numbers come out of any.
 
 use glam::{DMat3, DVec3};
 use std::array::from_fn;
@@ -20,7 +20,7 @@ pub type Matrices = [[Eight; 3]; 3];
 pub struct Slopes {
     /// The slope of each corner's weight along each axis, point by point.
     points: [[Eight; 3]; 8],
-    /// At each point along each axis, corner by corner; the middle is the last.
+    /// Slopes at each point along each axis, corner by corner; the middle is the last.
     corners: [[Eight; 3]; 9],
 }
 
@@ -91,7 +91,7 @@ impl Slopes {
         }
     }
 
-    /// How the cell is deformed whose corners are here.
+    /// Gradients of the deformation of a cell whose corners are here.
     #[inline(always)]
     pub fn deform(&self, corners: &[DVec3; 8]) -> CellGradients {
         let mut all = CellGradients::NONE;
@@ -107,7 +107,7 @@ impl Slopes {
         all
     }
 
-    /// Adds what stresses, by how much their points stand for, are as forces at the corners.
+    /// Adds the forces at the corners that stresses make, which are weighted by their points' volumes.
     #[inline(always)]
     pub fn add(&self, stresses: &CellGradients, forces: &mut Forces) {
         let mut sums = *forces;

@@ -1,4 +1,4 @@
-//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to what comes towards
+//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to parts that come towards
 //! them.
 
 use crate::body::Body;
@@ -15,13 +15,13 @@ use std::ops::Range;
 const APART: f64 = 0.4;
 /// The gap that is kept, as a part of a cell's size.
 const GAP: f64 = 0.4;
-/// How far one looks for what comes near, and how deep what went in is found, in cells.
+/// Distance at which other parts are looked for, and depth to which parts that went in are found, in cells.
 const REACH: f64 = 1.5;
-/// What is nearer than this at rest is left to the material, in cells.
+/// Distance at rest, in cells, below which two points are left to the material.
 const NEAR: f64 = 4.0;
-/// How far beside a point another one may be to be in front of it, in cells.
+/// Distance beside a point at which another one still counts as in front of it, in cells.
 const BESIDE: f64 = 0.6;
-/// How stiff contact is beside the material, for a piece of the surface as large as a cell's side.
+/// Stiffness of contact beside that of the material, for a piece of the surface as large as a cell's side.
 const STIFFNESS: f64 = 40.0;
 /// Points at once on one thread.
 const TOGETHER: usize = 256;
@@ -45,10 +45,10 @@ struct ContactPoint {
 #[derive(Debug, Clone)]
 pub struct Touch {
     places: [CellPoint; 2],
-    /// From the second out to the first.
+    /// Normal from the second point out to the first.
     normal: DVec3,
     gap: f64,
-    /// By how much they resist.
+    /// Stiffness by which the points resist.
     pub stiffness: f64,
 }
 
@@ -60,13 +60,14 @@ impl Touch {
         })
     }
 
-    /// How far the first is in front of the second, by where corners are or how they move.
+    /// Distance by which the first point is in front of the second, from positions of corners; or by which it
+    /// moves so, from displacements.
     pub fn along(&self, lattice: &HexMesh, x: &[DVec3]) -> f64 {
         let sum: DVec3 = self.corners(lattice).map(|(c, w)| w * x[c as usize]).sum();
         sum.dot(self.normal)
     }
 
-    /// By how much they are nearer than the gap.
+    /// Distance by which the points are nearer than the gap.
     pub fn depth(&self, lattice: &HexMesh, x: &[DVec3]) -> f64 {
         self.gap - self.along(lattice, x)
     }
@@ -107,7 +108,7 @@ impl ContactSurface {
         Self { points, size }
     }
 
-    /// How far a step may take any of it, so that nothing passes through unseen.
+    /// Largest length of a step for any of the surface, so that nothing passes through unseen.
     pub fn step(&self) -> f64 {
         self.size
     }
@@ -143,7 +144,7 @@ impl ContactSurface {
         best
     }
 
-    /// What is too near to what, in a state of the body.
+    /// Pairs of points that are too near to each other, in a state of the body.
     pub fn touches(
         &self,
         body: &Body,
@@ -188,7 +189,7 @@ impl ContactSurface {
     }
 }
 
-/// Points by the cells of space that they are in, in a table of as many places.
+/// Points by the cells of space that they are in, in a hash table with as many places.
 struct ContactCells {
     starts: Vec<u32>,
     points: Vec<u32>,
@@ -199,7 +200,7 @@ struct ContactCells {
 }
 
 impl ContactCells {
-    /// By their cells and normals.
+    /// Table of points with their cells and normals.
     fn new(cells: impl Iterator<Item = Option<(I64Vec3, DVec3)>>) -> Self {
         let known: Vec<(u32, (I64Vec3, DVec3))> =
             (0..).zip(cells).filter_map(|(i, c)| Some((i, c?))).collect();
@@ -224,9 +225,9 @@ impl ContactCells {
         Self { starts, points, keys, normals, cones }
     }
 
-    /// Where the points of a cell and of those around it are that may look against some of its own: what lies
-    /// beside them on the same side of the body does not, and that is most. A few of other cells are among
-    /// them.
+    /// Ranges of the points of a cell and of those around it that may look against some of its own: points
+    /// that lie beside these on the same side of the body do not, and they are most. A few points of other
+    /// cells are among them.
     fn around(&self, cell: I64Vec3, out: &mut Vec<Range<usize>>) {
         let places = self.starts.len() - 1;
         let (own, width) = self.cones[hash(cell, places)];
@@ -254,7 +255,7 @@ impl ContactCells {
     }
 }
 
-/// Between unit vectors; a half turn with what is none.
+/// Angle between unit vectors; a half turn if one has no direction.
 fn angle(a: DVec3, b: DVec3) -> f64 {
     if a == DVec3::ZERO || b == DVec3::ZERO { PI } else { a.dot(b).clamp(-1.0, 1.0).acos() }
 }

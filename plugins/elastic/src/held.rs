@@ -1,27 +1,28 @@
-//! What regions ask of the samples, and the springs by which they hold the lattice.
+//! Goals of the samples by the regions, and the springs by which regions hold the lattice.
 
 use crate::lattice::{CellPoint, HexMesh, weights};
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 use std::collections::BTreeMap;
 
-/// A weight from which on a sample does exactly what its region does, and one below which it does not know of
-/// it.
+/// Weight from which on a sample does exactly what its region does, and one below which the region does not
+/// reach it.
 const HARD: f32 = 1.0 - 1e-6;
 const NONE: f32 = 1e-4;
-/// How much stiffer than the material springs are where regions hold, by a cell's size.
+/// Stiffness of springs where regions hold, as a multiple of the material's, by a cell's size.
 const STIFFEST: f64 = 200.0;
 
-/// What each sample is asked to do.
+/// Regions that hold samples or draw at them.
 #[derive(Debug)]
 pub struct SampleGoals {
-    /// What holds a sample exactly: 0 is what is fixed, then the handles.
+    /// Target that holds each sample exactly, if any: 0 for the fixed regions, then the handles.
     pub hard: Vec<Option<u32>>,
-    /// What draws at samples: which, what draws, and how strongly beside the material.
+    /// Draws at samples: the sample, the target, and the strength beside the material.
     draws: Vec<(u32, u32, f64)>,
     /// The number of handles.
     pub handles: usize,
-    /// The middle of what is fixed, if anything is, and of each handle, with how far it reaches from there.
+    /// Middle of the fixed samples, if there are any, and of each handle's, with the distance of the farthest
+    /// from there.
     pub middles: Vec<Option<(DVec3, f64)>>,
 }
 
@@ -30,7 +31,7 @@ pub struct SampleGoals {
 pub struct Spring {
     /// The cell.
     pub cell: u32,
-    /// 0 is what is fixed, then the handles.
+    /// Target: 0 for the fixed regions, then the handles.
     pub target: u32,
     /// The products of weights, summed over the samples.
     pub form: [[f64; 8]; 8],
@@ -103,7 +104,7 @@ fn middle(target: u32, draws: &[(u32, u32, f64)], points: &[DVec3]) -> Option<(D
     })
 }
 
-/// Where each target is, at some time of a motion.
+/// Map of each target, at some time of a motion.
 #[derive(Debug, Clone)]
 pub struct Goals(pub Vec<DAffine3>);
 

@@ -1,4 +1,4 @@
-//! The lattice: cubic cells wherever the body is, and their corners, which move.
+//! Lattice of cubic cells wherever the body is, and their corners, which move.
 
 use crate::occupancy::Occupancy;
 use glam::{DAffine3, DVec3};
@@ -22,11 +22,11 @@ pub struct HexMesh {
     ids: Vec<u32>,
     /// The corners of each cell.
     pub cells: Vec<[u32; 8]>,
-    /// What each corner of a cell counts, summed over what is filled of it.
+    /// Weights of each corner of a cell, summed over the filled part of the cell.
     pub moments: Vec<[f64; 8]>,
-    /// Where each corner is at rest.
+    /// Position of each corner at rest.
     pub rest: Vec<DVec3>,
-    /// Each corner's place in the grid of corners.
+    /// Place of each corner in the grid of corners.
     pub places: Vec<[u32; 3]>,
     starts: Vec<u32>,
     uses: Vec<[u32; 2]>,
@@ -37,11 +37,11 @@ pub struct HexMesh {
 pub struct CellPoint {
     /// The cell.
     pub cell: u32,
-    /// How far along its edges, 0 to 1.
+    /// Position along the cell's edges, 0 to 1.
     pub at: DVec3,
 }
 
-/// What each corner of a cell counts at a place in it.
+/// Weight of each corner of a cell at a place in it.
 pub fn weights(at: DVec3) -> [f64; 8] {
     let side = |axis: usize, corner: usize| if corner == 1 { at[axis] } else { 1.0 - at[axis] };
     CORNERS.map(|c| side(0, c[0]) * side(1, c[1]) * side(2, c[2]))
@@ -117,7 +117,7 @@ impl HexMesh {
         }
     }
 
-    /// The cells about a corner, and which of theirs it is.
+    /// Cells about a corner, and the number that the corner has in each.
     pub fn uses(&self, corner: usize) -> &[[u32; 2]] {
         &self.uses[self.starts[corner] as usize..self.starts[corner + 1] as usize]
     }
@@ -140,20 +140,19 @@ impl HexMesh {
         Some(CellPoint { cell, at })
     }
 
-    /// What is interpolated from a cell's corners.
+    /// Value at a place, interpolated from those at the corners of its cell.
     pub fn interpolate(&self, place: CellPoint, values: &[DVec3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * values[*c as usize]).sum()
     }
 
-    /// How far a point goes, blended of what each corner's map (to shifts) does to it: smooth from cell to
-    /// cell.
+    /// Displacement of a point, blended of those by each corner's map (to shifts): smooth from cell to cell.
     pub fn shift(&self, place: CellPoint, at: DVec3, maps: &[DAffine3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * maps[*c as usize].transform_point3(at)).sum()
     }
 
-    /// For each cell the number of the part that it hangs together with, and how many parts there are.
+    /// Number of the part that each cell hangs together with, and the number of parts.
     pub fn parts(&self) -> (Vec<u32>, usize) {
         let (mut part, mut count) = (vec![NONE; self.cells.len()], 0);
         for first in 0..part.len() {
@@ -178,7 +177,8 @@ impl HexMesh {
     }
 }
 
-/// What each corner of a cell counts, summed over what is filled of it: it tells how much that is, and where.
+/// Weights of each corner of a cell, summed over the filled part of the cell: their sum is the part that is
+/// filled, and they tell where it is.
 fn moments(body: &Occupancy, cell: [usize; 3], parts: usize) -> [f64; 8] {
     let mut sums = [0.0; 8];
     for i in 0..parts * parts * parts {

@@ -1,4 +1,4 @@
-//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions,
+//! Soft body: the inside of the surface is a material that holds its volume, is held and moved by regions,
 //! sags under its weight, and touches itself.
 //!
 //! | what | by |
@@ -12,7 +12,7 @@
 //! | `contact` | what comes near to other parts of the surface |
 //! | `multilevel`, `solve` | where the energy is least, by Newton's method |
 //!
-//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in
+//! Nothing depends on time, so the body is not let swing until it comes to rest: handles go their way in
 //! small steps on a coarse lattice, and each time the energy is minimised; then finer lattices go on from
 //! there.
 
@@ -42,23 +42,24 @@ use solve::{LoadCase, RestCriteria};
 
 /// Samples that are written at once on one thread.
 const BLOCK: usize = 4096;
-/// The most cells of a lattice: about a kilobyte each.
+/// Largest number of cells of a lattice: about a kilobyte each.
 const MOST_CELLS: usize = 50_000;
-/// A lattice of so few cells is not made coarser: it is the one on which handles go their ways.
+/// Number of cells below which a lattice is not made coarser: it is the one on which handles go their ways.
 const COARSE: usize = 600;
-/// Coarser lattices than this many times the finest one are of no use.
+/// Number of fine cells along an edge of a cell from which on lattices are not made coarser: 64 times as many
+/// as on the finest lattice.
 const COARSEST: usize = 64 * PARTS;
-/// Loose parts that are led, each by what is nearest to it; more are led as one.
+/// Number of loose parts that are led, each by the nearest sample; more are led as one.
 const MOST_LOOSE: usize = 1000;
-/// Handles that are foreseen where they go; others have the solver alone.
+/// Number of handles whose ways are foreseen; others have the solver alone.
 const FORESEEN: u32 = 60;
-/// Steps of a handle's way: a turn of so much, and a part of the longest side, each.
+/// Turn of a handle in one step of its way, and the length of a step, as a part of the longest side.
 const TURN: f64 = 0.26;
 const WAY: f64 = 0.15;
-/// Steps are as many at most, in full and in a draft.
+/// Largest number of steps, in full and in a draft.
 const MOST_STEPS: f64 = 96.0;
 const DRAFT_STEPS: f64 = 6.0;
-/// The handles' ways are worth so many times what a rest is on the same lattice.
+/// Ratio of the products that handles' ways may take to those for a rest on the same lattice.
 const WAY_WORTH: usize = 2;
 /// Steps in which the weight sets in, at least.
 const SAGGING: f64 = 4.0;
@@ -68,28 +69,28 @@ struct Elastic;
 
 #[derive(ParamSet)]
 struct ElasticSettings {
-    /// How much it keeps its volume: 0 for cork, 0.3 for wood, 0.45 for flesh, 0.49 for rubber
+    /// Poisson's ratio; larger ones keep the volume better: 0 cork, 0.3 wood, 0.45 flesh, 0.49 rubber
     #[param(default = 0.45, hard = 0.0..=0.495, soft = 0.0..=0.49, invalidates_preparation)]
     poisson: f64,
-    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer
-    /// by half of this
+    /// Weight beside the stiffness: a bar as long as the diagonal gets longer by half of this as it hangs
     #[param(default = 0.0, hard = 0.0..=10.0, soft = 0.0..=0.1)]
     weight: f64,
-    /// Where the weight draws to
+    /// Direction in which the weight draws
     #[param(direction, default = [0.0, 0.0, -1.0])]
     down: [f64; 3],
-    /// Parts that come near to each other do not pass through
+    /// Keeps parts that come near to each other from passing through
     #[param(default = true)]
     contact: bool,
-    /// Cells of the lattice along the longest side of the model
+    /// Number of cells of the lattice along the longest side of the model; more are nearer to the truth, and
+    /// slower
     #[param(default = 32, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
     resolution: i64,
-    /// It is at rest when no corner of the lattice would move farther
+    /// Largest motion of a corner of the lattice that counts as rest
     #[param(default = 1e-4, unit = "diagonal", hard = 1e-9..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
 }
 
-/// To coordinates in which the longest side of the samples' box is 1.
+/// Map to coordinates in which the longest side of the samples' box is 1.
 #[derive(Debug, Clone, Copy)]
 struct UnitBox {
     origin: DVec3,
@@ -116,28 +117,29 @@ impl UnitBox {
     }
 }
 
-/// A lattice that is held, and where the samples are in it.
+/// Lattice that is held, and the places of the samples in it.
 struct HeldLevel {
     body: Body,
     places: Vec<Option<CellPoint>>,
-    /// Where its corners are in the next coarser one.
+    /// Places of this lattice's corners in the next coarser one.
     corners: Vec<CellPoint>,
 }
 
-/// A part that hangs on nothing that is held: its number, and the sample that leads it.
+/// Loose parts, which hang on nothing that is held: the part of each sample, and the sample that leads each
+/// part.
 struct Loose {
     parts: Vec<Option<u32>>,
     leaders: Vec<u32>,
 }
 
-/// What does not depend on where handles are.
+/// State of a step that does not depend on where handles are.
 struct PreparedBody {
     unit: UnitBox,
     held: SampleGoals,
-    /// From fine to coarse; none where nothing is held.
+    /// Levels from fine to coarse; none where nothing is held.
     levels: Vec<HeldLevel>,
     surface: Option<ContactSurface>,
-    /// How much each corner of the coarsest lattice goes along with each handle.
+    /// Part by which each corner of the coarsest lattice goes along with each handle.
     shares: Vec<Vec<f64>>,
     loose: Loose,
 }
@@ -267,7 +269,7 @@ impl Deformer for Elastic {
     }
 }
 
-/// What the samples are asked for.
+/// Motion that is asked for: the handles' paths, weight, and contact.
 struct AskedMotion {
     paths: Vec<Path>,
     weight: DVec3,
@@ -291,7 +293,7 @@ impl AskedMotion {
         LoadCase { goals, weight: self.weight * part, contact: contact.map(|s| (s, &level.places[..])) }
     }
 
-    /// How many steps the handles' ways are parted into.
+    /// Number of steps into which the handles' paths are parted.
     fn steps(&self, state: &PreparedBody, is_draft: bool) -> f64 {
         let contact = state.surface.as_ref().filter(|_| self.contact);
         let of = |(path, middle): (&Path, &Option<(DVec3, f64)>)| {
@@ -304,7 +306,7 @@ impl AskedMotion {
         steps.ceil().clamp(1.0, if is_draft { DRAFT_STEPS } else { MOST_STEPS })
     }
 
-    /// Where corners of the coarsest lattice come to on the handles' ways.
+    /// Positions of the coarsest lattice's corners at the end of the handles' paths.
     fn way(&self, state: &PreparedBody, is_draft: bool, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let level = &state.levels[state.levels.len() - 1];
         let rest = &level.body.lattice.rest;
@@ -334,7 +336,7 @@ impl AskedMotion {
         Ok(x)
     }
 
-    /// Where corners of the finest lattice are at rest.
+    /// Positions of the finest lattice's corners when the body is at rest.
     fn rest(&self, state: &PreparedBody, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut x = self.way(state, false, host)?;
         let goals = self.goals(1.0);
@@ -373,7 +375,7 @@ fn paths(state: &PreparedBody, transforms: &[Affine]) -> Vec<Path> {
         .collect()
 }
 
-/// What a body's surface means for it.
+/// Warns of a surface that is not closed.
 fn tell(kind: Enclosure, host: &Host<'_>) {
     match kind {
         Enclosure::Closed => {}
@@ -387,7 +389,7 @@ fn tell(kind: Enclosure, host: &Host<'_>) {
     }
 }
 
-/// All levels, the finest first: each of the next has cells of twice the size, until they are few.
+/// All levels, the finest first: each of the next has cells of twice the size, until the cells are few.
 fn levels(
     space: &Occupancy,
     points: &[DVec3],
@@ -435,7 +437,7 @@ fn level(
     Ok(HeldLevel { body: Body::new(lattice, springs, poisson), places, corners: Vec::new() })
 }
 
-/// Where the corners of a lattice are in one of twice the size; `parts` is the finer one's.
+/// Places of the corners of a lattice in one of twice the size; `parts` is the finer one's.
 fn corners(fine: &HexMesh, coarse: &HexMesh, parts: usize) -> Vec<CellPoint> {
     let of = |(i, rest): (usize, &DVec3)| {
         // Over any of the cells about it there is one.
@@ -447,7 +449,8 @@ fn corners(fine: &HexMesh, coarse: &HexMesh, parts: usize) -> Vec<CellPoint> {
     fine.rest.iter().enumerate().map(of).collect()
 }
 
-/// Finds parts that hang on nothing that is held, takes them out of the body, and what leads them.
+/// Finds the parts that hang on nothing that is held, takes them out of the body, and finds the samples that
+/// lead them.
 fn loose(
     space: &mut Occupancy,
     points: &[DVec3],
@@ -510,7 +513,7 @@ fn asked_motion(
     })
 }
 
-/// How the leaders of loose parts move.
+/// Motions of the leaders of loose parts.
 fn leads(state: &PreparedBody, level: &HeldLevel, x: &[DVec3]) -> Vec<DAffine3> {
     let lead = |leader: &u32| {
         let Some(place) = level.places[*leader as usize] else { return DAffine3::IDENTITY };

@@ -1,4 +1,5 @@
-//! The energy of a piece of the body by how it is deformed, with its first and second derivatives.
+//! Energy of a piece of the body as a function of its deformation gradient, with the first and second
+//! derivatives.
 //!
 //! Stable neo-Hookean: B. Smith, F. de Goes, T. Kim, *Stable neo-Hookean flesh simulation*, ACM TOG 37, 2018;
 //! M. Macklin, M. Müller, *A constraint-based formulation of stable neo-Hookean materials*, MIG 2021. It is
@@ -10,7 +11,7 @@ use crate::cell::{Eight, Matrices, cross, dot as dot_at};
 use glam::DMat3;
 use std::array::from_fn;
 
-/// The cofactors: what areas become, and the derivative of the determinant.
+/// Cofactors: the map of areas, and the derivative of the determinant.
 #[inline(always)]
 pub fn cofactors(f: &DMat3) -> DMat3 {
     let [a, b, c] = [f.x_axis, f.y_axis, f.z_axis];
@@ -35,7 +36,7 @@ fn cofactors_at([a, b, c]: &Matrices) -> Matrices {
     [cross(*b, *c), cross(*c, *a), cross(*a, *b)]
 }
 
-/// What shape takes, at eight points: the energies and the stresses.
+/// Energies and stresses by changes of shape, at eight points.
 #[inline(always)]
 pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     let cofactors = cofactors_at(f);
@@ -47,8 +48,8 @@ pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     (energy, from_fn(|c| from_fn(|r| f[c][r] + by * cofactors[c][r])))
 }
 
-/// How the stresses of shape change, at eight points, if the material is stiffer by a part of its shear
-/// modulus.
+/// Change of the stresses of shape, at eight points, if the material is taken for stiffer by a part of its
+/// shear modulus.
 #[inline(always)]
 pub fn shape_change(f: &Matrices, by: &Matrices, stiffer: f64) -> Matrices {
     let cofactors = cofactors_at(f);

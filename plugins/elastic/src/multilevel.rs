@@ -1,5 +1,5 @@
-//! What makes conjugate gradients quick: residuals are divided by stiffness on lattices of ever larger cells,
-//! too.
+//! Preconditioner that makes conjugate gradients quick: residuals are divided by stiffness on lattices of
+//! ever larger cells, too.
 //!
 //! J. Bramble, J. Pasciak, J. Xu, *Parallel multilevel preconditioners*, Mathematics of Computation 55, 1990.
 
@@ -10,14 +10,14 @@ use std::collections::HashMap;
 /// A lattice of so few corners is not made coarser.
 const FEWEST: usize = 12;
 
-/// The corners of a lattice of twice the size, by those of the one below.
+/// Corners of a lattice of twice the size, and their weights at those of the one below.
 #[derive(Debug)]
 struct CoarserCorners {
-    /// From each corner below to those above that it lies between.
+    /// Corners above that each corner below lies between, with weights.
     above: Vec<(u32, f64)>,
-    /// Where each corner's entries begin.
+    /// Start of each corner's entries in `above`.
     starts: Vec<u32>,
-    /// How stiff the material is about each corner.
+    /// Stiffness of the material about each corner.
     material: Vec<f64>,
 }
 
@@ -33,7 +33,8 @@ pub struct Multilevel {
 pub struct Inverse(Vec<Vec<f64>>);
 
 impl Multilevel {
-    /// `masses` is how much of the body is about each corner; `modulus` what resists waves of all kinds.
+    /// Lattices above one. `masses` is the volume of the body about each corner; `modulus` the stiffness
+    /// against waves of all kinds.
     pub fn new(lattice: &HexMesh, masses: &[f64], modulus: f64) -> Self {
         let scale = |size: DVec3| modulus * (8.0 / 9.0) * size.map(|h| h.powi(-2)).element_sum();
         let stiff = |masses: &[f64], size| masses.iter().map(|m| m * scale(size)).collect::<Vec<f64>>();
@@ -46,7 +47,7 @@ impl Multilevel {
             for place in &places {
                 for corner in 0..8_u32 {
                     let by: [u32; 3] = std::array::from_fn(|axis| corner >> axis & 1);
-                    // Between two where it is odd; else over one.
+                    // A corner of odd place lies between two; else over one.
                     if (0..3).any(|axis| by[axis] > place[axis] % 2) {
                         continue;
                     }
@@ -72,7 +73,8 @@ impl Multilevel {
         this
     }
 
-    /// With what ties each corner to places of space, and to others of the body, beside the material.
+    /// Inverse stiffnesses, with `ties` that bind each corner to places of space, and to others of the body,
+    /// beside the material.
     pub fn inverse(&self, ties: &[f64]) -> Inverse {
         let inverse = |material: &[f64], ties: &[f64]| {
             material.iter().zip(ties).map(|(m, t)| (m + t).recip()).collect::<Vec<f64>>()
@@ -86,7 +88,7 @@ impl Multilevel {
         Inverse(all)
     }
 
-    /// About what the displacements are that would take a residual away.
+    /// Approximates the displacements that would take a residual away.
     pub fn apply(&self, Inverse(inverse): &Inverse, residual: &[DVec3], out: &mut Vec<DVec3>) {
         let divided =
             |r: &[DVec3], level: usize| r.iter().zip(&inverse[level]).map(|(r, d)| *r * *d).collect();

@@ -1,7 +1,7 @@
-//! What of space the body takes up: fine cells that are outside of it, inside, or on its surface.
+//! Occupancy of space by the body: fine cells that are outside of it, inside, or on its surface.
 //!
-//! The surface are triangles, or fans of neighbours among points alone. What cannot be reached from the
-//! border of the grid without a step through the surface is inside. Cells of the surface count by half, and
+//! The surface are triangles, or fans of neighbours among points alone. Cells that cannot be reached from the
+//! border of the grid without a step through the surface are inside. Cells of the surface count by half, and
 //! the grid lies so that flat sides of the samples' box pass through the middle of cells.
 
 use glam::DVec3;
@@ -10,10 +10,10 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Fine cells along an edge of a cell of the lattice.
 pub const PARTS: usize = 4;
-/// What a fine cell of the surface, and one inside, count; none outside.
+/// Value of a fine cell of the surface, and of one inside; cells outside have 0.
 const SURFACE: u8 = 1;
 const INSIDE: u8 = 2;
-/// What sees an open surface in so many of the six directions along the axes is inside.
+/// Number of the six directions along the axes in which a cell inside an open surface sees it, at least.
 const SEEN: u32 = 5;
 /// A surface encloses something if there are more fine cells inside than this part of those on it.
 const ENCLOSING: f64 = 0.02;
@@ -27,9 +27,9 @@ const TOGETHER: usize = 1024;
 pub enum Enclosure {
     /// A closed surface.
     Closed,
-    /// One with holes, but most lines of sight from within end at it.
+    /// A surface with holes, at which most lines of sight from within end.
     Open,
-    /// Nothing is enclosed: a sheet, or walls thinner than two fine cells.
+    /// A surface that encloses nothing: a sheet, or walls thinner than two fine cells.
     Skin,
 }
 
@@ -64,7 +64,7 @@ impl Occupancy {
             let cells = (extent * resolution as f64).round().max(1.0) as usize;
             counts[axis] = PARTS * cells;
             let thin = 1.0 / (resolution * PARTS) as f64;
-            // What is thinner than half a cell lies in the middle of one.
+            // A body thinner than half a cell lies in the middle of one.
             let is_thin = extent * (2 * resolution) as f64 <= 1.0;
             step[axis] = if is_thin { thin } else { extent / (counts[axis] - 1) as f64 };
             origin[axis] = if is_thin {
@@ -97,18 +97,18 @@ impl Occupancy {
         (z * self.counts[1] + y) * self.counts[0] + x
     }
 
-    /// How much of a fine cell is the body's, 0 to 1; 0 beyond the grid.
+    /// Part of a fine cell that is the body's, 0 to 1; 0 beyond the grid.
     pub fn part(&self, cell: [usize; 3]) -> f64 {
         let is_in = (0..3).all(|axis| cell[axis] < self.counts[axis]);
         if is_in { f64::from(self.values[self.index(cell)]) * 0.5 } else { 0.0 }
     }
 
-    /// How far the middle of what is filled of a fine cell lies off its own, as parts of its edges.
+    /// Offset of the middle of a fine cell's filled part from the middle of the cell, as parts of its edges.
     pub fn off(&self, cell: [usize; 3]) -> DVec3 {
         if self.values[self.index(cell)] != SURFACE {
             return DVec3::ZERO;
         }
-        // Half of it is filled, towards what is inside.
+        // A cell of the surface is half filled, towards the inside.
         let beside = |axis: usize, by: isize| {
             let mut next = cell;
             next[axis] = cell[axis].wrapping_add_signed(by);
@@ -117,7 +117,7 @@ impl Occupancy {
         DVec3::from([0, 1, 2].map(|axis| 0.25 * (beside(axis, 1) - beside(axis, -1))))
     }
 
-    /// Takes away the fine cells that are told to go.
+    /// Clears the fine cells for which `goes` is true.
     pub fn clear(&mut self, goes: impl Fn([usize; 3]) -> bool) {
         for z in 0..self.counts[2] {
             for y in 0..self.counts[1] {

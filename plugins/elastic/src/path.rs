@@ -1,4 +1,4 @@
-//! The way of a handle from rest to where it is: part of a screw motion, and of its stretches.
+//! Path of a handle from rest to its pose: part of a screw motion, and of its stretches.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::f64::consts::PI;
@@ -8,22 +8,23 @@ const HALF: f64 = 1e-3;
 /// Turns below this are none.
 const LEAST: f64 = 1e-4;
 
-/// A handle's way.
+/// Path of a handle.
 #[derive(Debug)]
 pub struct Path {
     whole: DAffine3,
-    /// The turn, as axis and angle, and the stretches before it; none where it is turned inside out.
+    /// Turn of the path, as axis and angle, and the stretches before it; `None` where the handle is turned
+    /// inside out.
     parts: Option<(DVec3, f64, DMat3)>,
     middle: DVec3,
-    /// A point of the axis.
+    /// Point on the screw's axis.
     pivot: DVec3,
-    /// How far it goes along the axis.
+    /// Translation along the axis.
     along: DVec3,
 }
 
 impl Path {
-    /// The path of what is about a middle. A half turn goes the way on which that keeps farther `away` from
-    /// something.
+    /// Path of a handle about a middle. A half turn goes the way on which the middle keeps farther from the
+    /// point `away`.
     pub fn new(whole: DAffine3, middle: DVec3, away: Option<DVec3>) -> Self {
         let shift = whole.transform_point3(middle) - middle;
         let mut this = Self { whole, parts: None, middle, pivot: middle, along: shift };
@@ -53,7 +54,7 @@ impl Path {
         this
     }
 
-    /// Where it is after a part of its way, 0 to 1.
+    /// Pose of the handle after a part of its path, 0 to 1.
     pub fn pose(&self, part: f64) -> DAffine3 {
         if part >= 1.0 {
             return self.whole;
@@ -76,7 +77,8 @@ impl Path {
         self.parts.map_or(PI, |(_, angle, _)| angle)
     }
 
-    /// About the longest way of a point of it; it reaches so far from its middle.
+    /// Length of the way of the handle's farthest point, about; `reach` is that point's distance from the
+    /// middle.
     pub fn length(&self, reach: f64) -> f64 {
         let around = if self.angle() > 0.0 { self.angle() * self.middle.distance(self.pivot) } else { 0.0 };
         let stretches = self.whole.matrix3 - DMat3::IDENTITY;

@@ -1,7 +1,7 @@
-//! The body at rest: where its energy is least, by Newton's steps with conjugate gradients. Where the energy
-//! is not convex, steps tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton
-//! methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the material is a
-//! Laplacian.
+//! Rest of the body: the state of least energy, found by Newton's steps with conjugate gradients. Where the
+//! energy is not convex, steps tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan,
+//! *Quasi-Newton methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the
+//! material is a Laplacian.
 
 use crate::body::{Body, BodyGradients, Load};
 use crate::contact::{ContactSurface, Touch};
@@ -12,22 +12,22 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Conjugate gradients for one step, at most.
 const MOST_GRADIENTS: usize = 600;
-/// How many products of the second derivatives a lattice is worth: so many by the number of cells, within
-/// bounds.
+/// Budget of products of the second derivatives for a lattice: the first divided by the number of cells,
+/// within the two bounds.
 const WORK: usize = 600_000;
 const FEWEST_PRODUCTS: usize = 30;
 const MOST_PRODUCTS: usize = 1500;
-/// Where the energy is not convex, the material is taken for stiffer by this part of its shear modulus, and
-/// by three times as much each time that it is not enough, up to the second.
+/// Part of its shear modulus by which the material is taken for stiffer where the energy is not convex, times
+/// three each time that it is not enough, up to the second.
 const STIFFER: f64 = 0.1;
 const STIFFEST: f64 = 2.0;
-/// Where the body touches itself it is at rest, too, when a step would gain less than this part of the
-/// energy: points in contact slide from one to the next, which goes on for long and shows nowhere.
+/// Gain of a step, as a part of the energy, below which a body that touches itself is at rest, too: points in
+/// contact slide from one to the next, which goes on for long and shows nowhere.
 const SLIDING: f64 = 1e-4;
 /// Halvings of a step, at most.
 const HALVINGS: usize = 14;
 
-/// What a body is to be brought to rest under.
+/// Loads under which a body is to be brought to rest.
 pub struct LoadCase<'a> {
     /// The places of the regions.
     pub goals: &'a Goals,
@@ -40,25 +40,25 @@ pub struct LoadCase<'a> {
 /// The criteria by which a body is at rest.
 #[derive(Debug, Clone, Copy)]
 pub struct RestCriteria {
-    /// No corner would go farther in a whole step.
+    /// Largest move of a corner in a whole step.
     pub still: f64,
-    /// Steps at most.
+    /// Most steps.
     pub steps: usize,
-    /// What conjugate gradients leave of the forces, as a part.
+    /// Part of the forces that conjugate gradients leave.
     pub left: f64,
-    /// Conjugate gradients for one step, at most.
+    /// Most conjugate gradients for one step.
     pub gradients: usize,
-    /// Products of the second derivatives, at most.
+    /// Most products of the second derivatives.
     pub products: usize,
 }
 
-/// How many products of the second derivatives a lattice is worth.
+/// Number of products of the second derivatives that are spent on a lattice.
 pub fn worth(body: &Body) -> usize {
     (WORK / body.lattice.cells.len().max(1)).clamp(FEWEST_PRODUCTS, MOST_PRODUCTS)
 }
 
 impl RestCriteria {
-    /// For a place on the way.
+    /// Criteria for a place on the way.
     pub fn roughly(still: f64, products: usize) -> Self {
         Self { still, steps: 3, left: 0.1, gradients: 60, products }
     }
@@ -68,14 +68,14 @@ impl RestCriteria {
         Self { still: 1e-3, steps: 2, left: 0.2, gradients: 12, products: 24 }
     }
 
-    /// For the end of it.
+    /// Criteria for the end of the way.
     pub fn wholly(still: f64, products: usize) -> Self {
         Self { still, steps: 100, left: 1e-2, gradients: MOST_GRADIENTS, products }
     }
 }
 
-/// The effort that is left: the products that Newton's steps may still take, and how much stiffer the next
-/// one takes the material for at first.
+/// Effort that is left: the products that Newton's steps may still take, and the part by which the next one
+/// takes the material for stiffer at first.
 struct NewtonEffort {
     products: usize,
     stiffer: f64,
@@ -112,7 +112,7 @@ impl NewtonEffort {
     }
 }
 
-/// Brings corners to rest. Says whether they are.
+/// Brings corners to rest; returns whether they are.
 pub fn settle(
     body: &Body,
     x: &mut Vec<DVec3>,
@@ -163,8 +163,8 @@ pub fn settle(
     Ok(false)
 }
 
-/// Conjugate gradients until so much of the residual is left, or so many times; and whether the energy is
-/// convex along all of them.
+/// Solves by conjugate gradients until a part `left` of the residual is left, or for `most` of them; also
+/// tells whether the energy is convex along all of them.
 fn solve(
     mut residual: Vec<DVec3>,
     (left, most): (f64, usize),
@@ -201,8 +201,8 @@ fn solve(
     Ok((solution, true))
 }
 
-/// How much each corner goes along with some targets: 1 where one holds, 0 where others do, even between. As
-/// many as three at a time.
+/// Part by which each corner goes along with each of some targets: 1 where it holds, 0 where others do, even
+/// between. The targets are solved for three at a time.
 pub fn shares(body: &Body, targets: &[u32], host: &Host<'_>) -> PluginResult<Vec<Vec<f64>>> {
     let inverse = body.inverse(&[]);
     let mut all = Vec::new();

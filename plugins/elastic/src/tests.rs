@@ -8,7 +8,7 @@ use simod_plugin_api::{
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-/// What a host hears; whether it lets the plugin go on, and in which order it has blocks done.
+/// Lines that a host hears; whether it lets the plugin go on, and in which order it has blocks done.
 #[derive(Default)]
 struct Listener {
     lines: Mutex<Vec<String>>,
@@ -31,7 +31,7 @@ impl HostCalls for Listener {
     }
 }
 
-/// A surface, and what is asked for.
+/// Surface with the regions and settings of a deformation.
 #[derive(Clone)]
 struct Setup {
     places: Vec<DVec3>,
@@ -113,7 +113,7 @@ impl Setup {
     }
 }
 
-/// A box of so many squares along each axis.
+/// Box of `parts` squares along each axis.
 fn block(size: DVec3, parts: [u32; 3]) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let (mut places, mut triangles, mut ids) = (Vec::new(), Vec::new(), BTreeMap::new());
     for axis in 0..3 {
@@ -287,7 +287,7 @@ fn bodies_that_are_not_one_solid_are_told() {
     let mut setup = bar(0.2, 20);
     setup.resolution = 12.0;
     assert_eq!(told(&ends(setup.clone())).0, "");
-    // A second bar above, which nothing holds: it goes along, as it is.
+    // A second bar above, which nothing holds, goes along without a change of shape.
     let count = setup.places.len() as u32;
     let (places, triangles) = block(DVec3::new(0.2, 0.1, 0.1), [4, 2, 2]);
     setup.places.extend(places.iter().map(|p| *p + DVec3::new(0.8, 0.0, 0.4)));
@@ -325,7 +325,7 @@ fn what_cannot_be_is_refused() {
     assert_eq!(error.code, ErrorCode::CANCELLED);
 }
 
-/// Drafts are near to what comes in the end.
+/// Drafts are near to the full results.
 #[test]
 fn drafts_are_near() {
     let mut setup = ends(bar(0.2, 30));
@@ -340,7 +340,7 @@ fn drafts_are_near() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
-    /// Whatever the handle does, nothing is but finite, and what regions hold does as told.
+    /// All results are finite, and held samples do as their regions do, whatever the handle does.
     #[test]
     fn any_motion_has_a_rest(rows in prop::array::uniform3(prop::array::uniform4(-2.0..2.0_f64)), poisson in 0.0..0.495_f64) {
         let mut setup = ends(bar(0.25, 8));

@@ -18,61 +18,62 @@ use std::ops::Range;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
-/// The part of what the slope promises by which the energy has to go down.
+/// Part of the decrease that the slope promises by which the energy has to go down.
 const SUFFICIENT: f64 = 1e-4;
 /// Steps whose decrease of the energy is looked at together: a single one may be short.
 const LOOKED_AT: usize = 3;
-/// Steps are not made shorter than this part.
+/// Least length of a step, as a part of the full one.
 const LEAST_PART: f64 = 0.05;
 
-/// When a descent ends: whatever comes first.
+/// Criteria by which a descent ends: the first one that is met.
 #[derive(Debug, Clone, Copy)]
 pub struct DescentEnd {
-    /// So many steps are done.
+    /// Number of steps.
     pub steps: usize,
-    /// No node moves farther, local coordinates.
+    /// Largest move of a node in the last step, local coordinates.
     pub tolerance: f64,
-    /// The last steps together lower the energy by less than this part of what all did.
+    /// Decrease of the energy by the last steps together, as a part of that by all.
     pub decrease: f64,
 }
 
-/// The surface, or a coarse likeness of it, with its factorised Laplacian.
+/// Surface, or a coarse likeness of it, with its factorised Laplacian.
 #[derive(Debug)]
 pub struct SurfaceLevel {
     /// The nodes of the level.
     pub problem: Problem,
     /// The draws at free nodes.
     pub springs: Vec<Soft>,
-    /// The factorised Laplacian with the springs. Steps by it need not be exact: what they aim at is.
+    /// Factorised Laplacian with the springs. Steps by it need not be exact, but their goal is.
     pub factor: Factor<f32>,
 }
 
-/// What turns: the surroundings of a problem's nodes.
+/// Nodes whose surroundings turn.
 #[derive(Debug, Clone, Copy)]
 pub struct TurningNodes<'a> {
-    /// How wide they are.
+    /// Neighbourhoods of these nodes.
     pub cells: &'a NodeNeighbourhoods,
-    /// The problem whose nodes they are around.
+    /// Problem that has these nodes.
     pub problem: &'a Problem,
-    /// How these nodes' rotations become those of a finer problem, if they are not its own.
+    /// Prolongation by which the nodes' rotations become those of a finer problem; `None` if the nodes are
+    /// that problem's own.
     pub groups: Option<&'a Prolongation>,
 }
 
-/// Where a level's nodes are, and how they are turned.
+/// Displacements of a level's nodes, and their rotations.
 #[derive(Debug, Clone)]
 pub struct LevelPose {
-    /// From rest, before the motion that all share.
+    /// Displacements from rest, before the motion that all handles share.
     pub displacements: Vec<DVec3>,
-    /// Rotations of what turns.
+    /// Rotations of the turning nodes.
     pub turns: Vec<DMat3>,
-    /// What they come to at each of the level's nodes whose surroundings are whole: means of rotations.
+    /// Means of these rotations at each of the level's nodes whose surroundings are whole.
     pub blends: Vec<DMat3>,
-    /// What edges told of these nodes' rotations when they were fitted last; nothing before.
+    /// Covariances of the edges around these nodes when the rotations were fitted last; none before.
     covariances: Vec<DMat3>,
 }
 
 impl SurfaceLevel {
-    /// Factorises. `stiffness` is that of a draw, per area.
+    /// Factorises the Laplacian. `stiffness` is that of a draw, per area.
     pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let springs = problem.springs(stiffness);
         let factor = problem.factor(problem.laplacian(), &springs, told, host)?;
@@ -138,7 +139,7 @@ impl SurfaceLevel {
         let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
         host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
             for (i, (energy, gradient)) in (first..).zip(parts) {
-                // What edges have to do with how far rotations take what they lead to.
+                // Part of the energy that couples the edges' displacements with the rotations.
                 let change = blends[i] - DMat3::IDENTITY;
                 *energy = -(0..3).map(|axis| change.col(axis).dot(covariances[i].col(axis))).sum::<f64>();
                 if i >= problem.free {
@@ -165,12 +166,12 @@ impl SurfaceLevel {
         Ok((energy, gradient))
     }
 
-    /// Takes the energy down. Gives the energies on the way, but for a constant.
+    /// Lowers the energy; returns the energies on the way, but for a constant.
     ///
     /// A local and a global step are one of Newton's method with the Laplacian for the second derivative.
-    /// What the steps before tell of the derivative makes it better, and saves most of the steps
-    /// (limited-memory BFGS, as in T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time
-    /// Simulation of Hyperelastic Materials*, TOG 2017).
+    /// Earlier steps improve that derivative, and save most of the steps (limited-memory BFGS, as in T. Liu,
+    /// S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials*, TOG
+    /// 2017).
     pub fn relax(
         &self,
         pose: &mut LevelPose,
@@ -233,7 +234,7 @@ impl SurfaceLevel {
     }
 }
 
-/// Whether the last steps lowered the energy by less than a part of what all did.
+/// Whether the last steps lowered the energy by less than a part of the decrease by all.
 fn is_settled(energies: &[f64], part: f64) -> bool {
     let last = energies.len() - 1;
     last > LOOKED_AT && energies[last - LOOKED_AT] - energies[last] <= part * (energies[0] - energies[last])
@@ -294,7 +295,7 @@ mod tests {
         OwnMotions::rigid(&[bend], true)
     }
 
-    /// From rest, with rotations that know nothing.
+    /// Pose from which a descent starts: the free nodes' rotations are the identity.
     fn start(level: &SurfaceLevel, turning: TurningNodes<'_>, motion: &OwnMotions) -> LevelPose {
         let held = level.problem.held.iter().map(|t| motion.turn(*t));
         let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);

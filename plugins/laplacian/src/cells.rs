@@ -1,12 +1,12 @@
-//! The surroundings of nodes, which turn as a whole, and how wide they are.
+//! Surroundings of nodes, which turn as a whole, and their width.
 //!
-//! Those of Sorkine and Alexa are the triangles around a sample. Their resistance to bending is as wide as
-//! these, and so the less the finer the sampling: converged, a densely sampled surface crumples like foil.
-//! Here surroundings have a width of their own: node `j` belongs to those of node `c` by the weight `W = (M +
-//! l² L)⁻¹ M`, a smooth bump of the length `l` whose weights at each node add up to 1. The energy is still a
-//! sum over surroundings of how far each is from being turned as a whole, and both steps stay what they were:
-//! covariances are spread by `Wᵀ`, rotations by `W`. Held nodes then turn as their regions do, so that the
-//! surface leaves these smoothly. The aim is that of Z. Levi, C. Gotsman, *Smooth Rotation Enhanced
+//! The surroundings of Sorkine and Alexa are the triangles around a sample. Their resistance to bending is as
+//! wide as these, and so the less the finer the sampling: converged, a densely sampled surface crumples like
+//! foil. Here surroundings have a width of their own: node `j` belongs to those of node `c` by the weight `W
+//! = (M + l² L)⁻¹ M`, a smooth bump of the length `l` whose weights at each node add up to 1. The energy is
+//! still a sum over surroundings of how far each is from being turned as a whole, and both steps stay what
+//! they were: covariances are spread by `Wᵀ`, rotations by `W`. Held nodes then turn as their regions do, so
+//! that the surface leaves these smoothly. The aim is that of Z. Levi, C. Gotsman, *Smooth Rotation Enhanced
 //! As-Rigid-As-Possible Mesh Animation*, TVCG 2015, who add a term for it.
 
 use crate::problem::Problem;
@@ -56,7 +56,7 @@ impl NodeNeighbourhoods {
         Ok(Self { wide: Some(Wide { factor: problem.factor(row, &[], 0.0..0.0, host)?, spread }) })
     }
 
-    /// Fits rotations to covariances, from what they were.
+    /// Fits rotations to covariances, starting from their former values.
     pub fn fit(
         &self,
         problem: &Problem,
@@ -112,7 +112,7 @@ impl Wide {
     }
 }
 
-/// For each node whose surroundings are whole what their edges, before and after, tell of its rotation.
+/// Covariances of the edges, before and after, at each node whose surroundings are whole.
 pub fn covariances(problem: &Problem, displacements: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
     let at = |i: usize| problem.rest[i] + displacements[i];
     let mut covariances = vec![DMat3::ZERO; problem.rows];

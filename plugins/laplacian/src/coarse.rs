@@ -13,17 +13,17 @@ use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Groups are merged while there are more.
+/// Most groups: groups are merged while there are more.
 const MOST: usize = 4000;
-/// And while that makes them this part of what they were, at most.
+/// Most groups that merging may leave, as a part of those before, to go on.
 const WORTH: f64 = 0.7;
 
-/// How rotations of groups become those of nodes.
+/// Weights by which rotations of groups become those of nodes.
 #[derive(Debug)]
 pub struct Prolongation {
-    /// For each node the groups that it takes part in, and its weights, which add up to 1.
+    /// Groups that each node takes part in, and the node's weights, which add up to 1.
     groups: Lists<(u32, f32)>,
-    /// For each group the nodes that take part in it, and their weights.
+    /// Nodes that take part in each group, and their weights.
     members: Lists<(u32, f32)>,
 }
 
@@ -45,7 +45,7 @@ impl<T: Copy> Lists<T> {
         Self { starts, all: lists.concat() }
     }
 
-    /// One of them.
+    /// List number `i`.
     pub fn row(&self, i: usize) -> &[T] {
         &self.all[self.starts[i]..self.starts[i + 1]]
     }
@@ -55,7 +55,7 @@ impl<T: Copy> Lists<T> {
     }
 }
 
-/// Of numbers with weights.
+/// Lists of numbers with weights.
 impl Lists<(u32, f32)> {
     /// The lists the other way round, for numbers below `count`.
     fn transposed(&self, count: usize) -> Self {
@@ -73,7 +73,7 @@ impl Lists<(u32, f32)> {
         Self { starts, all }
     }
 
-    /// For each list the weighted sum of what its numbers stand for, and of `more`.
+    /// Weighted sum, for each list, of the matrices that its numbers stand for, and of `more`.
     fn sums(&self, of: &[DMat3], more: DMat3, together: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
         let mut sums = vec![DMat3::ZERO; self.len()];
         host.parallel_blocks(&mut sums, together, |first, sums| {
@@ -122,11 +122,11 @@ impl Prolongation {
     }
 }
 
-/// Nodes and what holds them together.
+/// Nodes and the edges that hold them together.
 struct NodeGraph {
     starts: Vec<usize>,
     edges: Vec<(u32, f64)>,
-    /// What each node is asked to do; nodes of one group are asked to do the same.
+    /// Region that each node follows, if it is held; nodes of one group follow the same.
     targets: Vec<Option<SampleTarget>>,
 }
 
@@ -146,7 +146,7 @@ impl NodeGraph {
         &self.edges[self.starts[i]..self.starts[i + 1]]
     }
 
-    /// The group of each node, and how many there are.
+    /// Group of each node, and the number of groups.
     fn groups(&self) -> (Vec<u32>, usize) {
         const NONE: u32 = u32::MAX;
         let count = self.targets.len();
@@ -201,7 +201,7 @@ impl NodeGraph {
     }
 }
 
-/// A coarse likeness; nothing where the problem is small as it is.
+/// Coarse likeness of a problem; `None` where the problem is small as it is.
 pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem, Prolongation)>> {
     let Grouping { graph, group, groups } = Grouping::new(fine, host)?;
     if groups == fine.len() {
@@ -225,7 +225,7 @@ pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem,
 /// Nodes in groups, until these are few, or merging them is not worth while.
 struct Grouping {
     graph: NodeGraph,
-    /// The group of each node, and how many there are.
+    /// Group of each node, and the number of groups.
     group: Vec<u32>,
     groups: usize,
 }

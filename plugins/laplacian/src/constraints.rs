@@ -1,4 +1,4 @@
-//! What the regions ask of the samples.
+//! Constraints of the samples by the regions.
 
 use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Affine, PluginError, PluginResult, PrepareInput, Role};
@@ -10,12 +10,12 @@ const HARD: f32 = 1.0 - 1e-6;
 /// A weight below which a region does not reach a sample.
 const NONE: f32 = 1e-4;
 
-/// What a sample is asked to do.
+/// Region that a sample follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleTarget {
-    /// To stay.
+    /// A fixed region: the sample stays.
     Fixed,
-    /// To follow the handle of this number.
+    /// The handle of this number.
     Handle(u32),
 }
 
@@ -24,20 +24,20 @@ pub enum SampleTarget {
 pub struct Soft {
     /// The sample.
     pub node: u32,
-    /// Where it is drawn to.
+    /// Region to which the sample is drawn.
     pub target: SampleTarget,
-    /// How strongly, from 0 (not at all) to infinity (where a weight would be 1).
+    /// Strength of the draw, from 0 (not at all) to infinity (where a weight would be 1).
     pub strength: f64,
 }
 
 /// The regions, sample by sample.
 #[derive(Debug)]
 pub struct SampleConstraints {
-    /// The samples that do exactly what a region does.
+    /// Region of each sample that does exactly what the region does; `None` for other samples.
     pub hard: Vec<Option<SampleTarget>>,
-    /// The draws at others, by sample; where regions overlap, at one sample several.
+    /// Draws at other samples, by sample; where regions overlap, at one sample several.
     pub soft: Vec<Soft>,
-    /// How many handles there are.
+    /// Number of handles.
     pub handles: usize,
     /// Whether any sample is fixed.
     pub has_fixed: bool,
@@ -87,24 +87,24 @@ impl SampleConstraints {
     }
 }
 
-/// What the handles do, beside a motion that all share.
+/// Motions of the handles, beside one that all share.
 #[derive(Debug)]
 pub struct OwnMotions {
-    /// What all share, to be applied last; nothing where samples are fixed.
+    /// Motion that all handles share, to be applied last; the identity where samples are fixed.
     pub common: DAffine3,
-    /// For each handle where it moves a point to, minus the point, before the common motion. Of linear
-    /// methods: minus the point's image under the common motion, after it.
+    /// Displacement that each handle gives a point, before the common motion. Of linear methods: relative to
+    /// the point's image under the common motion, after it.
     displacements: Vec<DAffine3>,
 }
 
 impl OwnMotions {
-    /// For methods that know rotations: the common motion is rigid.
+    /// Motions for methods that know rotations: the common motion is rigid.
     pub fn rigid(transforms: &[Affine], has_fixed: bool) -> Self {
         let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
         let mut common = DAffine3::IDENTITY;
         if !has_fixed && let Some(first) = maps.first() {
             let turn = rotation::nearest(first.matrix3, DMat3::IDENTITY);
-            // Rounding apart, it is the handle's own, which then is met to the last bit.
+            // The turn is the handle's own, rounding apart, which then is met to the last bit.
             let is_rigid = turn.abs_diff_eq(first.matrix3, 1e-12);
             common.matrix3 = if is_rigid { first.matrix3 } else { turn };
             common.translation = first.translation;
@@ -118,7 +118,7 @@ impl OwnMotions {
         Self { displacements: maps.iter().map(displacement).collect(), common }
     }
 
-    /// For linear methods: the common motion is the handles' mean.
+    /// Motions for linear methods: the common motion is the handles' mean.
     pub fn affine(transforms: &[Affine], has_fixed: bool) -> Self {
         let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
         let mut common = DAffine3::IDENTITY;
@@ -138,7 +138,7 @@ impl OwnMotions {
         Self { displacements: maps.iter().map(displacement).collect(), common }
     }
 
-    /// Whether the common motion is all there is.
+    /// Whether the common motion is the only one.
     pub fn is_common(&self) -> bool {
         self.displacements.iter().all(|d| d.matrix3 == DMat3::ZERO && d.translation == DVec3::ZERO)
     }
@@ -156,7 +156,7 @@ impl OwnMotions {
         self.displacements[handle]
     }
 
-    /// How a target turns, before the common motion; for methods that know rotations.
+    /// Rotation of a target, before the common motion; for methods that know rotations.
     pub fn turn(&self, target: SampleTarget) -> DMat3 {
         match target {
             SampleTarget::Fixed => DMat3::IDENTITY,
@@ -167,7 +167,7 @@ impl OwnMotions {
     }
 }
 
-/// As the mathematics library has it.
+/// Affine map as the mathematics library has it.
 pub fn affine(map: &Affine) -> DAffine3 {
     let column = |k: usize| DVec3::new(map.rows[0][k], map.rows[1][k], map.rows[2][k]);
     DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }

@@ -1,5 +1,5 @@
-//! What earlier steps of a descent tell of the energy (J. Nocedal, S. Wright, *Numerical Optimization*,
-//! §7.2).
+//! Earlier steps of a descent, by which the next one is chosen (J. Nocedal, S. Wright, *Numerical
+//! Optimization*, §7.2).
 
 use glam::DVec3;
 use simod_cholesky::Factor;
@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 /// Steps that are remembered.
 const REMEMBERED: usize = 6;
 
-/// What the last steps told of the energy's second derivative.
+/// Steps of a descent so far, which approximate the energy's second derivative.
 #[derive(Debug, Default)]
 pub struct Past {
     /// Steps, changes of the gradient, and one over their products.
@@ -17,7 +17,7 @@ pub struct Past {
 }
 
 impl Past {
-    /// Whether there is none.
+    /// Whether there are no earlier steps.
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }

@@ -1,9 +1,9 @@
 //! A quick picture: a coarse likeness' pose, carried over to the surface.
 //!
-//! Groups move rigidly, and nodes by the weighted means of what the groups around them do. What is rough
-//! about that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
-//! 2007). All is in single precision, as what is shown is, since the time goes to memory. What nodes take of
-//! each group is known beforehand, so that no map of a node's own is made.
+//! Groups move rigidly, and nodes by the weighted means of the maps of the groups around them. The roughness
+//! of that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
+//! 2007). All is in single precision, as what is shown is, since the time goes to memory. Each node's shares
+//! of the groups are known beforehand, so that no map of a node's own is made.
 
 use crate::coarse::{Lists, Prolongation};
 use crate::constraints::OwnMotions;
@@ -14,35 +14,36 @@ use std::sync::OnceLock;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;
-/// How much of each of Jacobi's steps is made: the most that takes down all that is rough, whatever the
+/// Part of each of Jacobi's steps that is made: the most that takes down all roughness, whatever the
 /// triangles.
 const PART: f64 = 0.6;
 
-/// What free nodes take of the coarse likeness' groups, and of the nodes next to them.
+/// Shares that free nodes have in the coarse likeness' groups, and in the nodes next to them.
 ///
 /// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten, and 8 for
 /// each node next to it; about twice as much while that is made.
 #[derive(Debug)]
 pub struct Draft {
     shares: Lists<GroupShare>,
-    /// What a step takes off for where nodes are: their numbers, the node's own included, and coefficients.
+    /// Numbers and coefficients of the nodes whose displacements a step takes off at each node, its own
+    /// included.
     steps: Lists<(u32, f32)>,
 }
 
-/// What a node takes of a group's map.
+/// Share that a node has in a group's map.
 #[derive(Debug, Clone, Copy)]
 struct GroupShare {
     group: u32,
-    /// The group's part in where the node is carried.
+    /// Weight of the group in the node's displacement.
     weight: f32,
-    /// What the group's rotation adds to a step is its change times this.
+    /// Factor of the change of the group's rotation in a step.
     lever: [f32; 3],
 }
 
 impl Draft {
-    /// What the nodes of a problem take.
+    /// Shares of the nodes of a problem.
     fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
-        // What a node lacks is divided by what it has to itself.
+        // Factor of the residual of a node's equation in a step: `PART` over the equation's diagonal.
         let part = |i: usize| {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
             own.filter(|(_, diagonal)| *diagonal > 0.0).map_or(0.0, |(_, diagonal)| PART / diagonal)
@@ -55,7 +56,7 @@ impl Draft {
         Ok(Self { shares, steps })
     }
 
-    /// What the nodes take, found when the first draft asks for it: what is deformed in full needs none.
+    /// Shares of the nodes, found when the first draft asks for them: a full deformation needs none.
     pub fn once<'a>(
         kept: &'a OnceLock<Self>,
         fine: &Problem,
@@ -98,7 +99,7 @@ impl Draft {
                 *node = self.carried(i, fine.rest[i], &maps);
             }
         })?;
-        // What the rotations ask for is the same in each step.
+        // Part of each step that the rotations ask for is the same in both steps.
         let mut smoothed: Vec<Vec3A> = carried.iter().map(|node| node.placed).collect();
         host.parallel_blocks(&mut smoothed[..fine.free], TOGETHER, |first, smoothed| {
             for (i, d) in (first..).zip(smoothed) {
@@ -125,22 +126,22 @@ impl Draft {
         carried
     }
 
-    /// How far a step of Jacobi's method takes a node.
+    /// Displacement of a node by a step of Jacobi's method.
     fn step(&self, node: usize, asked: Vec3A, given: impl Fn(usize) -> Vec3A) -> Vec3A {
         self.steps.row(node).iter().fold(asked, |step, (j, part)| step - given(*j as usize) * *part)
     }
 }
 
-/// A node on its way.
+/// Node on the way through a draft.
 #[derive(Debug, Clone, Copy)]
 struct CarriedNode {
-    /// Its displacement.
+    /// Displacement of the node.
     placed: Vec3A,
-    /// The part of each step that the rotations around it ask for.
+    /// Part of each step that the rotations around the node ask for.
     asked: Vec3A,
 }
 
-/// The lists of so many nodes, each as `list` makes it.
+/// Lists of `count` nodes, each as `list` makes it.
 fn lists<T: Copy + Send>(
     count: usize,
     host: &Host<'_>,
@@ -153,8 +154,8 @@ fn lists<T: Copy + Send>(
     Ok(Lists::new(&all))
 }
 
-/// What a node takes of all groups around it and those next to it, where a step makes so large a part of what
-/// is lacking.
+/// Shares that a node has in all groups around it and around the nodes next to it, where a step makes the
+/// given part of what is lacking.
 fn group_shares(fine: &Problem, prolongation: &Prolongation, node: usize, part: f64) -> Vec<GroupShare> {
     let mut shares: Vec<GroupShare> = Vec::new();
     let own = prolongation.groups_of(node);

@@ -1,4 +1,4 @@
-//! Triangles of samples with what finite elements need of them: cotangents and Voronoi areas, from edge
+//! Triangles of samples with the numbers that finite elements need: cotangents and Voronoi areas, from edge
 //! lengths alone.
 //!
 //! U. Pinkall, K. Polthier, *Computing Discrete Minimal Surfaces and Their Conjugates*, Experimental
@@ -27,19 +27,19 @@ impl SurfaceTriangle {
 
     /// Two samples that hold each other, as the edges of triangles do.
     pub fn link(a: u32, b: u32, weight: f64) -> [Self; 2] {
-        // A triangle of which two corners coincide; both of them, so that neither sample counts for more.
+        // A triangle of which two corners coincide is added for both, so that neither sample counts for more.
         let half = |corners| Self { corners, weights: [0.0, weight / 4.0, weight / 4.0], areas: [0.0; 3] };
         [half([a, b, b]), half([b, a, a])]
     }
 
-    /// All of it times `factor`.
+    /// Copy with all weights and areas times `factor`.
     pub fn scaled(self, factor: f64) -> Self {
         let Self { corners, weights, areas } = self;
         Self { corners, weights: weights.map(|w| factor * w), areas: areas.map(|a| factor * a) }
     }
 
-    /// The weights times the edge vectors from a corner, summed: what its row of the Laplacian gives for this
-    /// triangle.
+    /// Sum of the weights times the edge vectors from a corner: this triangle's part in the corner's row of
+    /// the Laplacian.
     pub fn laplacian(&self, corner: usize, at: impl Fn(u32) -> DVec3) -> DVec3 {
         let (b, c) = ((corner + 1) % 3, (corner + 2) % 3);
         let p = at(self.corners[corner]);

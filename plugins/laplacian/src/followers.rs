@@ -1,7 +1,7 @@
-//! Loose parts: what nothing holds follows, as a whole, the samples nearest to it.
+//! Loose parts, which nothing holds: each follows, as a whole, the samples nearest to it.
 //!
-//! So eyes go with their head, and buttons with their coat. The motion is the rigid one nearest to what the
-//! samples around do (K. Arun et al., *Least-Squares Fitting of Two 3-D Point Sets*, PAMI 1987).
+//! So eyes go with their head, and buttons with their coat. The motion is the rigid one nearest to the
+//! motions of the samples around (K. Arun et al., *Least-Squares Fitting of Two 3-D Point Sets*, PAMI 1987).
 
 use crate::rotation;
 use glam::{DAffine3, DMat3, DVec3};
@@ -11,19 +11,19 @@ use std::collections::BTreeMap;
 
 /// Samples of a part that look for others to follow.
 const SEEKERS: usize = 32;
-/// Neighbours of those that are found, which are followed too: one sample alone does not tell how it turns.
+/// Neighbours of those leaders that are followed too: one sample alone does not tell how it turns.
 const COMPANIONS: usize = 8;
 
-/// The loose parts, and whom they follow.
+/// Samples that the loose parts follow.
 #[derive(Debug, Default)]
 pub struct Followers {
-    /// For each part the samples that it follows.
+    /// Samples that each part follows.
     leaders: Vec<Vec<u32>>,
 }
 
 impl Followers {
-    /// Finds for each part, by the samples that it has, whom it follows: others that are not loose, of which
-    /// there are some.
+    /// Finds the samples that each part, given by its own samples, follows: others that are not loose, of
+    /// which there are some.
     pub fn new(
         positions: &[[f32; 3]],
         parts: &BTreeMap<u32, Vec<u32>>,
@@ -60,7 +60,7 @@ impl Followers {
         Ok(Self { leaders })
     }
 
-    /// The parts' motions, given what becomes of samples that are not loose.
+    /// Motions of the parts, given the images of samples that are not loose.
     pub fn motions(
         &self,
         positions: &[[f32; 3]],

@@ -1,4 +1,4 @@
-//! From the handles' motions to a pose: coarse to fine.
+//! Poses of the surface from the handles' motions: coarse to fine.
 
 use crate::arap::{DescentEnd, SurfaceLevel, TurningNodes};
 use crate::cells::NodeNeighbourhoods;
@@ -15,25 +15,25 @@ use std::sync::OnceLock;
 const COARSE_STEPS: usize = 24;
 /// Steps for a draft, at most, as it is to be seen soon.
 const DRAFT_STEPS: usize = 12;
-/// How much coarser the tolerance of these is: what is left is for the others to find.
+/// Ratio of the tolerance of these steps to that of the fine ones, which find the rest.
 const COARSE_TOLERANCE: f64 = 10.0;
 
-/// The surface, and a coarse likeness of it if it is large.
+/// Surface, and a coarse likeness of it if it is large.
 #[derive(Debug)]
 pub struct Hierarchy {
     fine: SurfaceLevel,
     coarse: Option<(SurfaceLevel, Prolongation, OnceLock<Draft>)>,
     /// The surroundings of the coarsest level's nodes.
     cells: NodeNeighbourhoods,
-    /// Whether they are what turns on the fine level too, as they are wider than its own.
+    /// Whether these surroundings are what turns on the fine level too, as they are wider than its own.
     is_wide: bool,
     /// The influence of the handles on the coarsest level.
     influence: Influence,
 }
 
 impl Hierarchy {
-    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area; `width` that of
-    /// the surroundings, or 0.
+    /// Factorises both levels. `stiffness` is that of a draw, per area; `width` that of the surroundings, or
+    /// 0.
     pub fn new(
         problem: Problem,
         stiffness: f64,

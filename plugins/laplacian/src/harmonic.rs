@@ -1,8 +1,8 @@
 //! Rotations between those of the handles, by harmonic functions.
 //!
 //! R. Zayer, C. Rössl, Z. Karni, H.-P. Seidel, *Harmonic Guidance for Surface Deformation*, Eurographics
-//! 2005: how much each handle has to say at a node is a harmonic function, 1 on the handle and 0 on other
-//! regions. The rotations are blended by their axes times angles.
+//! 2005: the weight of each handle at a node is a harmonic function, 1 on the handle and 0 on other regions.
+//! The rotations are blended by their axes times angles.
 
 use crate::arap::SurfaceLevel;
 use crate::constraints::{OwnMotions, SampleTarget};
@@ -10,16 +10,16 @@ use crate::problem::Problem;
 use glam::{DMat3, DQuat, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// How much each handle has to say.
+/// Weight of each handle at the free nodes.
 #[derive(Debug)]
 pub struct Influence {
-    /// At each free node, handle by handle.
+    /// Weights at each free node, handle by handle.
     values: Vec<f64>,
     handles: usize,
 }
 
 impl Influence {
-    /// At the free nodes of a level.
+    /// Influence of the handles at the free nodes of a level.
     pub fn new(level: &SurfaceLevel, handles: usize, host: &Host<'_>) -> PluginResult<Self> {
         let problem = &level.problem;
         let mut values = vec![0.0; problem.free * handles];
@@ -48,8 +48,8 @@ impl Influence {
         Ok(Self { values, handles })
     }
 
-    /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in
-    /// between.
+    /// Rotations of the problem's nodes whose surroundings are whole: of held ones by their regions, of free
+    /// ones in between.
     pub fn turns(&self, problem: &Problem, motion: &OwnMotions) -> Vec<DMat3> {
         let axes: Vec<DVec3> =
             (0..self.handles).map(|h| scaled_axis(motion.turn(SampleTarget::Handle(h as u32)))).collect();
@@ -64,7 +64,7 @@ impl Influence {
 
 /// The axis times the angle, of at most half a turn.
 fn scaled_axis(turn: DMat3) -> DVec3 {
-    // Either of two quaternions comes, and the other one's angle is that of the long way round.
+    // A quaternion's negative is the same turn, whose angle is that of the long way round.
     let turn = DQuat::from_mat3(&turn);
     (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis()
 }

@@ -16,19 +16,18 @@ use std::collections::VecDeque;
 const SLACK: f64 = 1e-5;
 /// An edge's weight may be so far below 0: rounding must not flip edges for ever.
 const DELAUNAY: f64 = 1e-9;
-/// Flips per edge after which it is good enough. Few meshes need more than one.
+/// Flips per edge after which the triangulation is good enough. Few meshes need more than one.
 const MOST_FLIPS: usize = 20;
 /// Edges between two looks at whether to go on.
 const TOGETHER: usize = 1 << 14;
 
-/// The triangles as they are. Those with a corner twice are left out.
+/// Elements of the triangles as they are. Triangles with a corner twice are left out.
 pub fn plain(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<SurfaceTriangle> {
     let (triangles, lengths) = mollified(positions, triangles);
     triangles.into_iter().zip(lengths).map(|(t, l)| SurfaceTriangle::new(t, l)).collect()
 }
 
-/// The intrinsic Delaunay triangulation of what the triangles make up, each of its triangles twice and by
-/// half.
+/// Elements of the intrinsic Delaunay triangulation of the triangles' surface, each twice and by half.
 pub fn delaunay(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
@@ -50,7 +49,7 @@ fn mollified(positions: &[DVec3], triangles: &[[u32; 3]]) -> (Vec<[u32; 3]>, Vec
         triangles.iter().map(|&[a, b, c]| [distance(b, c), distance(c, a), distance(a, b)]).collect();
     let mut all: Vec<f64> = lengths.as_flattened().iter().copied().filter(|l| *l > 0.0).collect();
     let middle = all.len() / 2;
-    // Where all samples lie in one point, any length will do.
+    // Samples that all lie in one point may have any length.
     let median = if all.is_empty() { 1.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 };
     let lacking = |l: &[f64; 3]| {
         let sum: f64 = l.iter().sum();
@@ -94,7 +93,7 @@ impl Cover {
             length: Vec::with_capacity(6 * triangles.len()),
             twin: vec![u32::MAX; 6 * triangles.len()],
         };
-        // Each edge as its samples in order, and the half-edges that go up and down, on the front and on the
+        // Samples of each edge in order, and the half-edges that go up and down, on the front and on the
         // back.
         let mut edges: Vec<([u32; 2], u32, u32)> = Vec::with_capacity(3 * triangles.len());
         for (t, (&[a, b, c], &[bc, ca, ab])) in triangles.iter().zip(lengths).enumerate() {
@@ -165,7 +164,7 @@ impl Cover {
         let g = self.twin[h] as usize;
         let (h1, g1) = (next(h), next(g));
         let (h2, g2) = (next(h1), next(g1));
-        // From i to j along the edge; k is left of it, l right.
+        // Vertices around an edge from i to j: k is left of it, l right.
         let (k, l) = (self.tail[h2], self.tail[g2]);
         let length = self.other_diagonal(h, g);
         let fits = |[a, b, c]: [f64; 3]| a < b + c && b < c + a && c < a + b;

@@ -15,7 +15,7 @@
 //!   et al. 2004, Zayer et al. 2005; `rotated`).
 //!
 //! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1
-//! the limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
+//! the limit. Parts of the surface that nothing holds follow the samples next to them (`followers`).
 
 mod arap;
 mod cells;
@@ -51,12 +51,12 @@ use simod_plugin_api::{
 use std::collections::BTreeMap;
 use surface::TriangleWeights;
 
-/// How far a draw of weight 1/2 lets the surface bend before it gives in, in units of the diagonal.
+/// Length over which a draw of weight 1/2 lets the surface bend before the draw gives in, in units of the
+/// diagonal.
 const SOFT_LENGTH: f64 = 0.3;
 /// Steps until the energy settles, at most.
 const MOST_STEPS: usize = 2000;
-/// Descents end, too, when no sample moves farther than this, in units of the diagonal: what is left is of
-/// rounding.
+/// Largest move of a sample at which descents end, too, in units of the diagonal: the rest is rounding.
 const AT_REST: f64 = 1e-8;
 /// Samples that are written at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
@@ -66,26 +66,27 @@ struct Laplacian;
 
 #[derive(ParamSet)]
 struct LaplacianSettings {
-    /// Rigid keeps shapes and turns details; smoothest is linear and does neither
+    /// Method; rigid ones keep shapes and turn details, the smoothest is linear and does neither
     #[param(default = Mode::SmoothArap, invalidates_preparation)]
     mode: Mode,
-    /// Over how long a way the surface bends, for smooth rigid; 0 lets it crease
+    /// Length over which the surface bends, for smooth rigid; 0 lets it crease
     #[param(default = 0.03, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.2, invalidates_preparation)]
     bending: f64,
-    /// What turns around a sample, for rigid: its triangles (Chao and others 2010), or its edges alone
-    /// (Sorkine and Alexa 2007)
+    /// Parts that turn with a sample, for published rigid: its triangles, or its edges alone
+    ///
+    /// Triangles: Chao and others 2010; edges: Sorkine and Alexa 2007.
     #[param(default = Surroundings::SpokesAndRims, group = "Accuracy", invalidates_preparation)]
     surroundings: Surroundings,
-    /// The last three steps lower the energy by less than this part of what all did, for rigid
+    /// Decrease of the energy by the last three steps, as a part of that by all, for published rigid
     #[param(default = 1e-3, hard = 0.0..=1.0, soft = 1e-6..=1e-1, group = "Accuracy")]
     decrease: f64,
-    /// At most so many steps on all samples, after those on a coarse likeness; for smooth rigid
+    /// Number of steps on all samples at most, after those on a coarse likeness, for smooth rigid
     #[param(default = 2, hard = 0..=10_000, soft = 0..=20, group = "Accuracy")]
     iterations: i64,
-    /// Steps end when no sample moves farther; for smooth rigid
+    /// Largest motion of a sample in a step at which the steps end, for smooth rigid
     #[param(default = 1e-4, unit = "diagonal", hard = 0.0..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
-    /// Robust takes any triangles; cotangents as they are compare with other programs
+    /// Weights of the triangles; robust ones take any, cotangents as they are compare with other programs
     #[param(default = TriangleWeights::Robust, group = "Accuracy", invalidates_preparation)]
     weights: TriangleWeights,
 }
@@ -110,9 +111,9 @@ enum Surroundings {
     Spokes,
 }
 
-/// What does not depend on the handles' motions.
+/// State of a step that does not depend on the handles' motions.
 struct PreparedSurface {
-    /// What becomes of each sample.
+    /// Source of each sample's image.
     places: Vec<ImageOf>,
     method: LaplacianMethod,
     has_fixed: bool,
@@ -126,14 +127,14 @@ enum LaplacianMethod {
     Rotated(Box<Rotated>),
 }
 
-/// Where a sample's image is found.
+/// Source of a sample's image.
 #[derive(Debug, Clone, Copy)]
 enum ImageOf {
     /// A free node.
     Node(u32),
-    /// What a region does.
+    /// A region that holds the sample.
     Held(SampleTarget),
-    /// What a loose part does.
+    /// A loose part to which the sample belongs.
     Part(u32),
 }
 
@@ -287,7 +288,7 @@ fn displacements(
     }
 }
 
-/// When the iteration of as-rigid-as-possible deformations ends.
+/// Criteria by which the iteration of as-rigid-as-possible deformations ends.
 fn until(input: &DeformInput<'_>) -> PluginResult<DescentEnd> {
     let LaplacianSettings { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
     let steps =
@@ -300,8 +301,8 @@ fn until(input: &DeformInput<'_>) -> PluginResult<DescentEnd> {
 }
 
 impl Migrate for Laplacian {
-    /// In the first version `arap` had a bending length, as `smooth-arap` has now. Steps that give one above
-    /// 0 keep it; others are as rigid as possible, as they say.
+    /// Migration of settings: in the first version `arap` had a bending length, as `smooth-arap` has now.
+    /// Steps that give one above 0 keep it; others are as rigid as possible, as they say.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(2)
     }
@@ -322,7 +323,7 @@ impl Migrate for Laplacian {
     }
 }
 
-/// What becomes of each sample: what is held, and what is connected to anything that is held or drawn.
+/// Constraint of each sample: held; free, if it is connected to a sample that is held or drawn; or loose.
 fn kinds(constraints: &SampleConstraints, components: &[u32]) -> Vec<Constraint> {
     let mut is_tied = vec![false; components.len()];
     let held = constraints.hard.iter().enumerate().filter(|(_, t)| t.is_some()).map(|(i, _)| i);

@@ -1,8 +1,8 @@
 //! Displacements as smooth as can be, with one system of equations.
 //!
 //! M. Botsch, L. Kobbelt, *An Intuitive Framework for Real-Time Freeform Modeling*, SIGGRAPH 2004: the least
-//! integral of `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are
-//! combinations of four solutions per handle, found beforehand.
+//! integral of `|Δd|²` for the displacements of the regions. Handles move affinely, so that all displacements
+//! are combinations of four solutions per handle, found beforehand.
 
 use crate::constraints::{OwnMotions, SampleTarget, Soft};
 use crate::problem::{Problem, out_of_memory};
@@ -31,7 +31,7 @@ pub struct BiLaplacian {
     factor: Factor<f64>,
 }
 
-/// The bi-Laplacian with what each handle does by itself.
+/// Bi-Laplacian with the displacements that each handle makes by itself.
 #[derive(Debug)]
 pub struct Smoothest {
     /// The equations.
@@ -44,12 +44,13 @@ pub struct Smoothest {
 struct HandleDisplacements {
     /// Middle and size of each handle.
     frames: Vec<(DVec3, f64)>,
-    /// Node by node.
+    /// Displacements node by node.
     values: Vec<f32>,
 }
 
 impl BiLaplacian {
-    /// Factorises. `stiffness` is that of a draw, per area. Tells its progress as `told`.
+    /// Factorises the bi-Laplacian. `stiffness` is that of a draw, per area; `told` is the range of the
+    /// progress.
     pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let entries = |i: usize| problem.operators.laplacian(i).map(|(k, _)| problem.operators.entries(k));
         if (0..problem.free).flat_map(entries).sum::<usize>() > MOST_ENTRIES {
@@ -60,7 +61,8 @@ impl BiLaplacian {
         Ok(Self { problem, springs, factor })
     }
 
-    /// The displacements whose Laplacians are nearest to given ones, with held nodes and draws as told.
+    /// Displacements whose Laplacians are nearest to given ones; those of held nodes, and the goals of draws,
+    /// are as `target` says.
     pub fn respond(
         &self,
         laplacian: impl Fn(usize) -> DVec3 + Sync,
@@ -69,7 +71,7 @@ impl BiLaplacian {
     ) -> PluginResult<Vec<DVec3>> {
         let Problem { free, rows, rest, operators, .. } = &self.problem;
         let mut displacements = self.problem.held_displacements(&target);
-        // What is left of the Laplacians after the held nodes' part, per area.
+        // Rest of the Laplacians after the held nodes' part, per area.
         let mut lacking = vec![DVec3::ZERO; *rows];
         host.parallel_blocks(&mut lacking, TOGETHER, |first, out| {
             for (i, sum) in (first..).zip(out) {
@@ -95,7 +97,7 @@ impl BiLaplacian {
 }
 
 impl Smoothest {
-    /// Solves for what the handles do. `frames` are their middles and sizes.
+    /// Solves for the displacements that the handles make. `frames` are the handles' middles and sizes.
     pub fn new(equations: BiLaplacian, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Self> {
         let is_worth = frames.len() <= MOST_TABULATED;
         let table = if is_worth { Some(HandleDisplacements::new(&equations, frames, host)?) } else { None };

@@ -1,4 +1,5 @@
-//! The elements' sums, row by row: the Laplacian, areas, and what rotations of the samples' surroundings do.
+//! Sums of the elements, row by row: the Laplacian, areas, and the action of rotations of the samples'
+//! surroundings.
 //!
 //! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with the triangles around a
 //! sample as its surroundings (*spokes and rims*; I. Chao et al., *A Simple Geometric Model for Elastic
@@ -21,15 +22,15 @@ pub struct Operators {
     columns: Vec<u32>,
     /// The Laplacian, positive semi-definite: half the sum of cotangents, negative, off the diagonal.
     stiffness: Vec<f64>,
-    /// In the sum over `j` of `R_j k_ij`: the rotated Laplacian of the positions at `i`.
+    /// Factors of `R_j` in the sum over `j` of `R_j k_ij`: the rotated Laplacian of the positions at `i`.
     out: Vec<[f32; 3]>,
-    /// In that sum with `i` and `j` exchanged.
+    /// Factors in that sum with `i` and `j` exchanged.
     into: Vec<[f32; 3]>,
     /// Voronoi areas.
     pub areas: Vec<f64>,
 }
 
-/// What two samples are to each other, or one to itself.
+/// Entries of the matrices for two samples, or for one and itself.
 #[derive(Debug, Clone, Copy)]
 pub struct MatrixEntry {
     /// The other sample.
@@ -126,7 +127,7 @@ impl Operators {
         })
     }
 
-    /// How many entries a row has.
+    /// Number of entries of a row.
     pub fn entries(&self, i: usize) -> usize {
         self.starts[i + 1] - self.starts[i]
     }

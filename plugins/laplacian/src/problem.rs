@@ -1,4 +1,4 @@
-//! Which samples are to be found, and which ones next to them hold them.
+//! Equations of the free samples: the samples that are to be found, and those next to them that hold them.
 
 use crate::constraints::{SampleTarget, Soft};
 use crate::elements::SurfaceTriangle;
@@ -11,14 +11,14 @@ use std::ops::Range;
 /// Rows at once on one thread.
 const TOGETHER: usize = 2048;
 
-/// What becomes of a sample.
+/// Constraint of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Constraint {
-    /// The node is to be found.
+    /// A node that is to be found.
     Free,
-    /// The node does what a region does.
+    /// A node that a region holds.
     Held(SampleTarget),
-    /// Nothing that is held is connected to it.
+    /// A sample that is connected to none that is held or drawn.
     Loose,
 }
 
@@ -29,13 +29,13 @@ pub struct Problem {
     /// The sample that each node is: the free ones first, then the held ones that share an element with
     /// those, then the held ones that share one with these.
     pub samples: Vec<u32>,
-    /// Where the nodes are at rest.
+    /// Positions of the nodes at rest.
     pub rest: Vec<DVec3>,
-    /// How many nodes are free.
+    /// Number of free nodes.
     pub free: usize,
-    /// How many nodes are free or next to free ones: the rows of the operators that are complete.
+    /// Number of nodes that are free or next to free ones: the rows of the operators that are complete.
     pub rows: usize,
-    /// What the held nodes do, from `free` on.
+    /// Region of each held node, from `free` on.
     pub held: Vec<SampleTarget>,
     /// The draws at free nodes.
     pub soft: Vec<Soft>,
@@ -102,12 +102,12 @@ impl Problem {
         self.rest.len()
     }
 
-    /// What a node is asked to do, if it is held.
+    /// Region that holds a node, if any.
     pub fn target(&self, node: usize) -> Option<SampleTarget> {
         node.checked_sub(self.free).map(|k| self.held[k])
     }
 
-    /// Displacements of all nodes: of the held ones as told, of the free ones nothing yet.
+    /// Displacements of all nodes: of the held ones by their regions, of the free ones zero so far.
     pub fn held_displacements(&self, displacement: impl Fn(SampleTarget, DVec3) -> DVec3) -> Vec<DVec3> {
         let held = self.held.iter().zip(&self.rest[self.free..]).map(|(t, p)| displacement(*t, *p));
         std::iter::repeat_n(DVec3::ZERO, self.free).chain(held).collect()
@@ -128,7 +128,7 @@ impl Problem {
         |i| self.operators.laplacian(i).filter(|(j, _)| *j <= i).collect()
     }
 
-    /// The bi-Laplacian `L M⁻¹ L` among the free nodes, without what lies beyond the diagonal.
+    /// Bi-Laplacian `L M⁻¹ L` among the free nodes, without the entries beyond the diagonal.
     pub fn bilaplacian(&self) -> impl Fn(usize) -> Vec<(usize, f64)> + Sync {
         |i| {
             let mut row: Vec<(usize, f64)> = Vec::new();
@@ -149,8 +149,8 @@ impl Problem {
         }
     }
 
-    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs, and
-    /// tells of it as `told`.
+    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs; `told`
+    /// is the range of the progress.
     pub fn factor<T: Stored>(
         &self,
         row: impl Fn(usize) -> Vec<(usize, f64)> + Sync,
@@ -174,7 +174,7 @@ impl Problem {
     }
 }
 
-/// What is told where there is no factor.
+/// Error of equations that have no factor.
 fn refused(refusal: Refusal) -> PluginError {
     match refusal {
         Refusal::Indefinite => {
@@ -187,7 +187,7 @@ fn refused(refusal: Refusal) -> PluginError {
     }
 }
 
-/// What is told where the equations would need more memory than there is.
+/// Error of equations that need more memory than there is.
 pub fn out_of_memory() -> PluginError {
     PluginError::new(ErrorCode::INVALID_INPUT, "there is not enough memory for the surface's equations")
         .hint("take fewer samples, or repair the model: where many triangles join samples in one place, equations grow")

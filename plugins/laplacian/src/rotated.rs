@@ -1,9 +1,10 @@
 //! The surface's own Laplacians, turned, and met by least squares.
 //!
 //! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004, who take the turns
-//! from a first solution that knows none. That collapses where handles turn far, and the turns with it. Here
-//! the handles' own turns, harmonically blended (`harmonic`), are in the first solution, from which then come
-//! those of the final one. They vary slowly, and are found on a coarse likeness of the surface (`coarse`).
+//! from a first solution that knows none. That solution collapses where handles turn far, and the turns with
+//! it. Here the handles' own turns, harmonically blended (`harmonic`), are in the first solution, from which
+//! then come those of the final one. The turns vary slowly, and are found on a coarse likeness of the surface
+//! (`coarse`).
 
 use crate::arap::SurfaceLevel;
 use crate::cells::covariances;
@@ -21,16 +22,16 @@ use std::sync::OnceLock;
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
 
-/// The surface, and a coarse likeness of it if it is large.
+/// Surface, and a coarse likeness of it if it is large.
 #[derive(Debug)]
 pub struct Rotated {
     fine: BiLaplacian,
     coarse: Option<(BiLaplacian, Prolongation, OnceLock<Draft>)>,
-    /// On the coarsest of them.
+    /// Influence of the handles on the coarsest level.
     influence: Influence,
 }
 
-/// How stiff draws are, per area.
+/// Stiffness of draws, per area.
 #[derive(Debug, Clone, Copy)]
 pub struct Stiffness {
     /// The stiffness of draws with the Laplacian.
@@ -64,7 +65,7 @@ impl Rotated {
         Ok(Self { fine, coarse: Some((coarse, prolongation, OnceLock::new())), influence })
     }
 
-    /// The displacements. Those of a draft are the coarse likeness', carried over.
+    /// Displacements of all nodes. Those of a draft are the coarse likeness', carried over.
     pub fn displacements(
         &self,
         motion: &OwnMotions,
@@ -107,7 +108,7 @@ fn solve(
     level.respond(|i| laplacians[i], |target, at| motion.displacement(target, at), host)
 }
 
-/// The free nodes' rotations nearest to what the displacements do to their surroundings.
+/// Fits the free nodes' rotations to the displacements of their surroundings.
 fn fit(problem: &Problem, displacements: &[DVec3], turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
     let covariances = covariances(problem, displacements, host)?;
     host.parallel_blocks(&mut turns[..problem.free], TOGETHER, |first, turns| {

@@ -9,9 +9,9 @@ use simod_geometry::nearest_rotation;
 
 /// Steps of Newton's method; two or three are usual.
 const STEPS: usize = 12;
-/// A step so small, in radians, is the last one: what is left is its square.
+/// Length of a step, in radians, below which it is the last one: the error is then its square.
 const SETTLED: f64 = 1e-6;
-/// How strongly the former rotation holds what the matrix leaves open, relative to the matrix.
+/// Weight by which the former rotation holds what the matrix leaves open, relative to the matrix.
 const HOLD: f64 = 1e-9;
 
 /// The rotation `R` with the largest `tr(Rᵀ S)`; `start` where `S` says nothing, and as near to it as `S`

@@ -2,19 +2,19 @@
 //!
 //! M. Belkin, J. Sun, Y. Wang, *Constructing Laplace Operator from Point Clouds in R^d*, SODA 2009, has the
 //! idea of triangulations that are local; N. Sharp, K. Crane 2020, §5.7, that of the Delaunay stars of all
-//! samples, found without a thought of each other. Their cotangents are summed, a third each, which makes the
-//! Laplacian symmetric: the Delaunay triangulation's own where the stars agree. Where they do not, weights
-//! may be negative, and the energy of each triangle is not.
+//! samples, each found by itself. Their cotangents are summed, a third each, which makes the Laplacian
+//! symmetric: the Delaunay triangulation's own where the stars agree. Where they do not, weights may be
+//! negative, and the energy of each triangle is not.
 
 use glam::{DVec2, DVec3};
 use simod_geometry::jacobi_eigen;
 
 /// Neighbours that are looked at: enough to surround a sample.
 const MOST: usize = 20;
-/// How far from the sample corners of its Voronoi cell may lie, in units of the farthest neighbour's
-/// distance. Beyond it, the sample lies at a border.
+/// Largest distance of corners of a sample's Voronoi cell from the sample, in units of the farthest
+/// neighbour's distance. A sample with a cell beyond it lies at a border.
 const REACH: f64 = 1.0;
-/// Two neighbours are one if they are nearer to each other than this, in the same units.
+/// Distance of two neighbours below which they are one, in the same units.
 const COINCIDENT: f64 = 1e-9;
 /// A neighbour that cuts off less than this, in units of its distance, does not count: of points on one
 /// circle, as in grids, rounding would take some.
@@ -67,7 +67,7 @@ fn plane(near: &[(u32, DVec3)], reach: f64) -> [DVec3; 2] {
 /// The points of the plane nearer to the origin than to the neighbours so far: a convex polygon,
 /// counter-clockwise.
 struct VoronoiCell {
-    /// Where each side begins, and the neighbour beyond it; none beyond the border.
+    /// Start of each side, and the neighbour beyond the side; `None` for sides of the border.
     sides: Vec<(DVec2, Option<u32>)>,
 }
 
@@ -77,7 +77,7 @@ impl VoronoiCell {
         Self { sides: corners.map(|c| (reach * DVec2::from(c), None)).to_vec() }
     }
 
-    /// Cuts off what is nearer to `q`.
+    /// Cuts off the points that are nearer to `q`.
     fn cut(&mut self, q: DVec2, neighbour: u32) {
         let outside = |p: DVec2| p.dot(q) - q.length_squared() / 2.0;
         let tolerance = COCIRCULAR * q.length_squared();

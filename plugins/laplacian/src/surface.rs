@@ -1,5 +1,5 @@
-//! The elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and
-//! what is connected by them.
+//! Elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and the
+//! parts that elements connect.
 
 use crate::elements::SurfaceTriangle;
 use crate::{intrinsic, stars};
@@ -10,10 +10,10 @@ use simod_plugin_api::{Choice, Host, PluginResult, PrepareInput};
 const TOGETHER: usize = 1024;
 /// Neighbours that hold a sample around which there are no triangles, as on a line.
 const LINKS: usize = 4;
-/// How much each of them does: about as much as an edge of a regular triangulation.
+/// Cotangent weight of each of these links: about that of an edge of a regular triangulation.
 const LINK: f64 = 0.577;
 
-/// How the triangles are weighted.
+/// Weights of the triangles.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TriangleWeights {
     /// Cotangents of the intrinsic Delaunay triangulation.
@@ -79,7 +79,7 @@ fn of_neighbours(
     Ok(elements)
 }
 
-/// For each sample the lowest one that elements connect it to.
+/// Lowest sample that elements connect each sample to.
 pub fn components(count: usize, elements: &[SurfaceTriangle]) -> Vec<u32> {
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {

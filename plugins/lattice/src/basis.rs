@@ -1,4 +1,4 @@
-//! Basis functions along one axis of the lattice, and how they go on beyond its ends.
+//! Basis functions along one axis of the lattice, and their continuation beyond its ends.
 //!
 //! B-splines over uniform knots which are repeated at both ends, so that the control points at the ends are
 //! met (L. Piegl, W. Tiller, *The NURBS Book*, 1997, algorithm A2.2). With one control point more than the
@@ -7,15 +7,15 @@
 /// Most control points along an axis.
 pub const MOST: usize = 32;
 
-/// What the functions are outside of `[0, 1]`.
+/// Continuation of the functions outside of `[0, 1]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Beyond {
-    /// As at the nearer end.
+    /// The functions have their values at the nearer end.
     Clamped,
     /// The functions go on along their tangents and fade to nothing over this distance: continuous with their
     /// derivatives.
     Smooth {
-        /// In units of the axis' length; above 0.
+        /// Distance in units of the axis' length; above 0.
         reach: f64,
     },
 }
@@ -26,9 +26,10 @@ pub struct Basis {
     count: usize,
     degree: usize,
     beyond: Beyond,
-    /// In units of their distance.
+    /// Knots, in units of their distance.
     knots: Vec<f64>,
-    /// Inverse lengths of the intervals that the recurrence divides by, as it needs them, span by span.
+    /// Inverse lengths of the intervals by which the recurrence divides, in the recurrence's order, span by
+    /// span.
     inverses: Vec<f64>,
 }
 
@@ -39,16 +40,16 @@ pub struct BasisWeights<'v> {
     pub values: &'v [f64],
 }
 
-/// Where a parameter lies: inside, or how far beyond which end.
+/// Place of a parameter: inside, or beyond one of the ends.
 #[derive(Debug, Clone, Copy)]
 pub struct KnotPosition {
     /// The nearest parameter inside.
     pub inside: f64,
-    /// What the functions inside are multiplied with.
+    /// Factor of the functions inside.
     pub fade: f64,
-    /// What is then taken off the second function, and added to the first one; not less than 0.
+    /// Number that is then taken off the second function, and added to the first one; not less than 0.
     pub below: f64,
-    /// What is then taken off the last function but one, and added to the last one; not less than 0.
+    /// Number that is then taken off the last function but one, and added to the last one; not less than 0.
     pub above: f64,
 }
 
@@ -91,13 +92,13 @@ impl Basis {
         self.count - self.degree
     }
 
-    /// Where control point `i` is at rest, so that `Σ B_i(u) place_i = u`: Greville's abscissa.
+    /// Place of control point `i` at rest, so that `Σ B_i(u) place_i = u`: Greville's abscissa.
     pub fn place_of(&self, i: usize) -> f64 {
         let knots = &self.knots[i + 1..=i + self.degree];
         knots.iter().sum::<f64>() / (self.degree * self.spans()) as f64
     }
 
-    /// Where a parameter lies, which may be any finite number.
+    /// Place of a parameter, which may be any finite number.
     #[inline(always)]
     pub fn place(&self, u: f64) -> KnotPosition {
         if (0.0..=1.0).contains(&u) {
@@ -106,7 +107,8 @@ impl Basis {
         self.place_of_many(u)
     }
 
-    /// The place of a parameter, to the bit as of one, without a branch, for loops over many parameters.
+    /// Place of a parameter without a branch, for loops over many parameters; the same to the bit as
+    /// [`place`](Self::place).
     #[inline(always)]
     pub fn place_of_many(&self, u: f64) -> KnotPosition {
         let inside = u.clamp(0.0, 1.0);
@@ -117,15 +119,15 @@ impl Basis {
         let t = (over.abs() / reach).min(1.0);
         let left = 1.0 - t;
         let fade = left * left * (1.0 + 2.0 * t);
-        // At its end only the last function and the one before change, by the degree for each knot's
-        // distance. What goes on is bent back soon: where the outer control points rest and the next ones do
-        // not, it is a groove beside the face.
+        // At an end only the outermost function and the one beside it change: their slope is the degree
+        // over the distance of knots. The continuation is bent back soon: where the outer control points
+        // rest and the next ones do not, it is a groove beside the face.
         let slope = (self.degree * self.spans()) as f64;
         let along = over * slope * left * left * left;
         KnotPosition { inside, fade, below: (-along).max(0.0), above: along.max(0.0) }
     }
 
-    /// How many functions are not zero at a parameter.
+    /// Number of functions that are not zero at a parameter.
     pub fn width(&self) -> usize {
         self.degree + 1
     }
@@ -282,7 +284,7 @@ mod tests {
                     let slope = |u: f64| (value(&basis, u + H, i) - value(&basis, u, i)) / H;
                     for end in [-0.2, 0.0, 1.0, 1.2] {
                         let kink = slope(end) - slope(end - H);
-                        // A second derivative there may be: of some hundreds, but no jump.
+                        // Second derivatives of some hundreds change the slope by less than a kink does.
                         assert!(kink.abs() < 3e3 * H, "{count} {i} at {end}: {kink}");
                     }
                 }

@@ -1,10 +1,10 @@
-//! The lattice's box: where it stands in space.
+//! The lattice's box, and its place in space.
 
 use crate::LatticeSettings;
 use glam::{DQuat, DVec3};
 use simod_plugin_api::{Bounds, PluginError, PluginResult};
 
-/// Left free around what a box is made for, relative to its size.
+/// Margin around the model in a box that is made for it, relative to its size.
 const MARGIN: f64 = 0.02;
 /// The least size of a box that is made for something flat, relative to the diagonal.
 const THINNEST: f64 = 0.05;
@@ -15,7 +15,7 @@ pub struct LatticeFrame {
     centre: DVec3,
     /// The edges, at right angles.
     edges: [DVec3; 3],
-    /// Unit vectors along them, over their lengths.
+    /// Unit vectors along the edges, over the edges' lengths.
     inverses: [DVec3; 3],
 }
 
@@ -23,7 +23,7 @@ impl LatticeFrame {
     /// The box of these settings, for a model with this box (at rest) and these samples.
     pub fn new(settings: &LatticeSettings, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
         let (axis, angle) = (DVec3::from(settings.axis), settings.angle.to_radians());
-        // Scaled first, so that neither tiny nor huge vectors are lost in their squares.
+        // The axis is scaled first, so that neither tiny nor huge vectors are lost in their squares.
         let turn = match (axis / axis.abs().max_element()).try_normalize() {
             Some(axis) => DQuat::from_axis_angle(axis, angle),
             None if angle == 0.0 => DQuat::IDENTITY,
@@ -52,7 +52,7 @@ impl LatticeFrame {
         [0, 1, 2].map(|axis| self.coordinate(axis, p))
     }
 
-    /// One of them.
+    /// Coordinate of a point along one axis.
     #[inline(always)]
     pub fn coordinate(&self, axis: usize, p: DVec3) -> f64 {
         0.5 + (p - self.centre).dot(self.inverses[axis])

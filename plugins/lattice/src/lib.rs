@@ -19,54 +19,55 @@ use simod_plugin_api::{
     ParamSet, PluginError, PluginResult, PrepareInput,
 };
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
 
 /// The plugin.
 struct LatticePlugin;
 
-/// The lattice's resolution, its functions, its box, and what is outside of it.
+/// Parameters: the lattice's resolution, its functions, its box, and the continuation outside.
 #[derive(ParamSet)]
 struct LatticeSettings {
-    /// Control points along this axis of the box
+    /// Number of control points along this axis of the box
     #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
     resolution_x: i64,
-    /// Control points along this axis of the box
+    /// Number of control points along this axis of the box
     #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
     resolution_y: i64,
-    /// Control points along this axis of the box
+    /// Number of control points along this axis of the box
     #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
     resolution_z: i64,
-    /// How far control points reach: some cells of the lattice, or all of it
+    /// Functions of the control points, which reach over some cells of the lattice, or over all of it
     #[param(default = BasisKind::BSpline, group = "Lattice", invalidates_preparation)]
     basis: BasisKind,
-    /// Of the box
+    /// Centre of the box
     #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length", group = "Box")]
     #[param(invalidates_preparation)]
     center: [f64; 3],
-    /// Of the box along this axis of its own; 0 for what the whole model needs
+    /// Size of the box along this axis of its own; 0 for what the whole model needs
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
     #[param(invalidates_preparation)]
     size_x: f64,
-    /// Of the box along this axis of its own; 0 for what the whole model needs
+    /// Size of the box along this axis of its own; 0 for what the whole model needs
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
     #[param(invalidates_preparation)]
     size_y: f64,
-    /// Of the box along this axis of its own; 0 for what the whole model needs
+    /// Size of the box along this axis of its own; 0 for what the whole model needs
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
     #[param(invalidates_preparation)]
     size_z: f64,
-    /// About which the box is turned
+    /// Axis about which the box is turned
     #[param(direction, default = [0.0, 1.0, 0.0], group = "Box", invalidates_preparation)]
     axis: [f64; 3],
-    /// By which the box is turned
+    /// Angle by which the box is turned
     #[param(default = 0.0, unit = "degrees", soft = -180.0..=180.0, group = "Box", invalidates_preparation)]
     angle: f64,
-    /// What is beyond a face goes on as inside and fades to rest, or follows the nearest point of the box;
-    /// where the two outermost layers of control points rest, there is no crease
+    /// Continuation beyond the faces: as inside and fading to rest, or as the nearest point of the box
+    ///
+    /// Where the two outermost layers of control points rest, there is no crease.
     #[param(default = Outside::Smooth, group = "Outside", invalidates_preparation)]
     outside: Outside,
-    /// Over which part of the box' size a smooth deformation fades outside
+    /// Length over which a smooth deformation fades outside, as a part of the box' size
     #[param(default = 0.25, unit = "ratio", hard = 0.01..=10.0, soft = 0.05..=1.0, group = "Outside")]
     #[param(invalidates_preparation)]
     reach: f64,
@@ -132,7 +133,7 @@ impl ControlLattice {
         (0..nx * ny * nz).map(move |n| [n / nz / ny, n / nz % ny, n % nz])
     }
 
-    /// Where a control point is at rest.
+    /// Place of a control point at rest.
     fn control_point(&self, index: [usize; 3]) -> DVec3 {
         self.frame.point(std::array::from_fn(|axis| self.bases[axis].place_of(index[axis])))
     }

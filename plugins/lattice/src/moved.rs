@@ -1,7 +1,8 @@
 //! A lattice whose control points were moved: `p + Σ B_i(u) B_j(v) B_k(w) (P*_ijk - P_ijk)`.
 //!
-//! In displacements, so that what no control point reaches stays exactly where it is. As the functions
-//! reproduce their parameters, this is the same as the sum over the moved control points.
+//! The sum is of displacements, so that a place that no moved control point reaches stays exactly where it
+//! is. As the functions reproduce their parameters, this is the same as the sum over the moved control
+//! points.
 
 use crate::ControlLattice;
 use crate::basis::{Basis, BasisWeights, MOST};
@@ -10,7 +11,7 @@ use pulp::{Simd, WithSimd};
 use simod_plugin_api::{Affine, PluginError, PluginResult};
 use std::ops::Range;
 
-/// Functions of an axis that reach a point, for cubic B-splines.
+/// Number of functions of an axis that reach a point, for cubic B-splines.
 const CUBIC: usize = 4;
 
 /// Most numbers that a processor takes at once.
@@ -22,9 +23,9 @@ pub struct MovedPoints<'a> {
     /// Displacements along the third axis follow each other, then those along the second one. The fourth
     /// number is 0: four fit the processor better.
     displacements: Vec<DVec4>,
-    /// Along each axis, the control points from the first to the last moved one; empty if none was moved.
+    /// Control points from the first to the last moved one along each axis; empty if none was moved.
     spans: [Range<usize>; 3],
-    /// For each line along the third axis, whether one of its control points was moved.
+    /// Whether one of its control points was moved, for each line along the third axis.
     lines: Vec<bool>,
 }
 
@@ -38,7 +39,7 @@ impl<'a> MovedPoints<'a> {
         }
         let displacement = |([i, j, k], motion): ([usize; 3], &Affine)| {
             let at = lattice.control_point([i, j, k]);
-            // What does not move shall not move by rounding either.
+            // A control point that does not move shall not move by rounding either.
             let still = *motion == Affine::IDENTITY;
             if still { DVec4::ZERO } else { (DVec3::from(motion.apply(at.into())) - at).extend(0.0) }
         };
@@ -69,7 +70,7 @@ impl<'a> MovedPoints<'a> {
         }
     }
 
-    /// Where a point goes, if no more than `N` functions of an axis reach.
+    /// Image of a point that no more than `N` functions of an axis reach.
     #[inline(always)]
     fn apply_within<const N: usize>(&self, p: DVec3) -> DVec3 {
         let u = self.lattice.frame.coordinates(p);
@@ -84,7 +85,7 @@ impl<'a> MovedPoints<'a> {
         }
         let mut sum = DVec4::ZERO;
         if let (&[_, _, _, _], &[_, _, _, _], &[w0, w1, w2, w3]) = (wx, wy, wz) {
-            // All of a cubic's: loops of known lengths.
+            // Cubic functions have all four: these loops have known lengths.
             for (i, wx) in some_i.zip(wx) {
                 let mut plane = DVec4::ZERO;
                 for (j, wy) in some_j.clone().zip(wy) {
@@ -111,7 +112,8 @@ impl<'a> MovedPoints<'a> {
     /// Writes the images of `rest`, in single precision.
     pub fn apply_all(&self, rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
         if self.lattice.bases.iter().all(Basis::is_global) {
-            // All samples go through the same control points: as many of them at once as the processor takes.
+            // All samples go through the same control points: as many samples at once as the processor
+            // takes.
             pulp::Arch::new().dispatch(SamplePackets { moved: self, rest, out });
             return;
         }
@@ -121,8 +123,8 @@ impl<'a> MovedPoints<'a> {
     }
 }
 
-/// The control points that count: which basis functions reach, and which were moved; and the functions'
-/// values.
+/// Control points that count: those that the basis functions reach, and that were moved; with the
+/// functions' values.
 #[inline(always)]
 fn both<'v>(weights: &BasisWeights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [f64]) {
     let from = weights.first.max(moved.start);
@@ -134,7 +136,7 @@ fn both<'v>(weights: &BasisWeights<'v>, moved: &Range<usize>) -> (Range<usize>, 
     }
 }
 
-/// Samples that are moved in vectors, one number of each for a sample; for basis functions that all reach
+/// Samples that are moved in vectors, one number for a sample in each; for basis functions that all reach
 /// everywhere.
 struct SamplePackets<'a> {
     moved: &'a MovedPoints<'a>,
@@ -153,7 +155,7 @@ impl WithSimd for SamplePackets<'_> {
         let displacements: Vec<[f32; 3]> =
             moved.displacements.iter().map(|d| d.truncate().as_vec3().into()).collect();
         let zero = simd.splat_f32s(0.0);
-        // Written anew for each packet, as far as there are functions.
+        // The values are written anew for each packet, as far as there are functions.
         let mut values = [[zero; MOST]; 3];
         for (out, rest) in out.chunks_mut(S::F32_LANES).zip(rest.chunks(S::F32_LANES)) {
             weights(simd, moved.lattice, rest, &mut values);
@@ -182,7 +184,7 @@ impl WithSimd for SamplePackets<'_> {
     }
 }
 
-/// Adds `b` times `w`. Not fused, so that all processors give the same.
+/// Adds `b` times `w`. The sum is not fused, so that all processors give the same.
 #[inline(always)]
 fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
     for (a, b) in a.iter_mut().zip(b) {
@@ -190,7 +192,7 @@ fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
     }
 }
 
-/// Along each axis, the basis functions at some samples, as many as the lanes or less.
+/// Basis functions along each axis at some samples, as many as the lanes or fewer.
 #[inline(always)]
 fn weights<S: Simd>(simd: S, lattice: &ControlLattice, rest: &[[f32; 3]], all: &mut [[S::f32s; MOST]; 3]) {
     let mut points = [[0.0; WIDEST]; 3];
@@ -257,8 +259,8 @@ fn cubic<S: Simd>(simd: S, u: S::f32s, fade: S::f32s) -> [S::f32s; CUBIC] {
     [down(a), both(a, b), both(b, c), up(c)]
 }
 
-/// Rounding leaves less of what they add up to, the more functions there are: it is put right. And what is
-/// beyond either end goes on.
+/// Corrects the functions' sum, of which rounding loses the more, the more functions there are; and
+/// continues them beyond either end.
 #[inline(always)]
 fn complete<S: Simd>(simd: S, values: &mut [S::f32s], [fade, below, above]: [S::f32s; 3]) {
     let total = values.iter().fold(simd.splat_f32s(f32::MIN_POSITIVE), |a, b| simd.add_f32s(a, *b));

@@ -64,7 +64,7 @@ impl Setup {
         self.with(|input| LatticePlugin::handles(input, &Host::new(&()))).unwrap()
     }
 
-    /// The handles' motions: where they are at rest tells how they move.
+    /// Motions of the handles, by their places at rest.
     fn motions(&self, motion: impl Fn(&HandleDesc) -> Affine) -> Vec<Affine> {
         self.handles().iter().map(motion).collect()
     }
@@ -106,7 +106,7 @@ fn shift(by: [f64; 3]) -> Affine {
     }
 }
 
-/// Each control point elsewhere.
+/// A motion of each control point to somewhere else.
 fn wild(handle: &HandleDesc) -> Affine {
     let [x, y, z] = handle.position;
     shift([0.2 * (9.0 * y).sin(), 0.15 * (7.0 * z + x).cos(), 0.1 * (5.0 * x - y).sin()])
@@ -125,7 +125,7 @@ fn the_box_holds_the_model_and_its_corners_are_handles() {
                 handles[0].position[axis] < BOUNDS.min[axis] && handles[59].position[axis] > BOUNDS.max[axis]
             );
         }
-        // Corners are met: whoever moves one sees the corner of space there.
+        // Corners are met: the corner of space goes where its control point goes.
         let corner = DVec3::from(handles[59].position);
         let motions =
             setup.motions(|h| if h.id == "3,4,2" { shift([0.1, 0.2, 0.3]) } else { Affine::IDENTITY });
@@ -187,7 +187,7 @@ fn clamped_space_follows_the_nearest_point_of_the_box() {
     }
 }
 
-/// Along lines through the box and out of it, there is no step, and for `smooth` no kink.
+/// Lines through the box and out of it have no step, and for `smooth` no kink.
 #[test]
 fn space_is_continuous_at_the_faces() {
     const STEPS: i32 = 40_000;
@@ -226,7 +226,7 @@ fn samples_move_as_space_does() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Whatever the lattice, moving all of it by one affine map is that map.
+    /// All control points moved by one affine map give that map, whatever the lattice.
     #[test]
     fn affine_maps_are_reproduced(
         rows in prop::array::uniform3(prop::array::uniform4(-1.0..1.0_f64)),
@@ -248,7 +248,7 @@ proptest! {
         }
     }
 
-    /// Nothing leaves the hull of the displacements, within the box.
+    /// Displacements stay within the hull of the control points' ones, within the box.
     #[test]
     fn displacements_are_means(x in prop::collection::vec(-1.0..1.0_f64, 60)) {
         for setup in all() {

@@ -1,10 +1,10 @@
 //! The constraints of the samples in the regions.
 //!
 //! Each handle moves affinely, so its samples' displacements are combinations of four functions: 1 and the
-//! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0.
-//! Whatever the handles do later, these `4 x handles` right-hand sides span it.
+//! coordinates relative to the handle's centroid, in units of its radius; in other regions the four
+//! functions are 0. The displacements of all motions are spanned by these `4 x handles` right-hand sides.
 //!
-//! A sample is in a region where its weight is above one half, and then does all that the region does.
+//! A sample is in a region where its weight is above one half, and then has the region's full motion.
 
 use crate::fit::Goal;
 use crate::kernel::{Point, UnitBoxMap};
@@ -15,43 +15,43 @@ use std::collections::HashSet;
 /// Weight from which on a sample belongs to a region.
 const INSIDE: f32 = 0.5;
 
-/// Constraints are flat in a direction where they extend less than this, relative to where they do most.
+/// Extent of constraints in a direction below which they are flat there, relative to the largest extent.
 const FLAT: f64 = 1e-3;
-/// How far beside flat constraints others are added, in the unit box.
+/// Distance at which constraints are added beside flat ones, in the unit box.
 const THICKNESS: f64 = 0.05;
-/// Constraints of each region that are added to, for each flat direction.
+/// Number of constraints of each region to which others are added, for each flat direction.
 const THICKENED: usize = 16;
 
-/// Constraints of each region that may take part in the least squares; all others are checked.
+/// Number of constraints of each region that may take part in the least squares; all others are checked.
 const MOST_ROWS: usize = 20_000;
 
-/// Samples of each handle that are asked how far others are.
+/// Number of samples of each handle whose distances to the others are looked at.
 const ASKED: usize = 64;
 
-/// Functions per handle.
+/// Number of functions for each handle.
 pub const PER_HANDLE: usize = 4;
 
-/// Where a handle is, local coordinates.
+/// Place of a handle, in local coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandleFrame {
-    /// Mean of its samples.
+    /// Mean of the handle's samples.
     pub centroid: Point,
-    /// Largest distance of a sample from it; 1 for a single point.
+    /// Largest distance of one of its samples from the centroid; 1 for a single point.
     pub radius: f64,
 }
 
-/// The samples in the regions, and what they shall do.
+/// The samples in the regions, and their targets.
 #[derive(Debug)]
 pub struct RegionSamples {
-    /// Maps local coordinates to the unit box.
+    /// Map from local coordinates to the unit box.
     pub frame: UnitBoxMap,
-    /// The samples' positions, in the unit box; after them those of constraints that are no samples.
+    /// Positions of the samples, in the unit box; after them those of constraints that are no samples.
     pub points: Vec<Point>,
     /// The samples' numbers.
     pub samples: Vec<u32>,
-    /// The handle that each follows, or nothing where it is fixed.
+    /// Handle that each constraint follows, or nothing where the constraint is fixed.
     pub handle: Vec<Option<usize>>,
-    /// Functions 1, 2 and 3 of its handle at each constraint.
+    /// Functions 1, 2 and 3 of the constraint's handle, at each constraint.
     relative: Vec<Point>,
     /// The handles' frames, in the regions' order.
     pub handles: Vec<HandleFrame>,
@@ -61,7 +61,7 @@ pub struct RegionSamples {
     pub spread: Vec<usize>,
 }
 
-/// The samples of each region. One in several regions belongs to the one where its weight is largest, the
+/// Samples of each region. A sample in several regions belongs to the one where its weight is largest, the
 /// first of them where that is a draw.
 fn members_of(regions: &[Region<'_>], samples: usize) -> PluginResult<Vec<Vec<u32>>> {
     let owner = |sample: usize| {
@@ -89,8 +89,8 @@ fn members_of(regions: &[Region<'_>], samples: usize) -> PluginResult<Vec<Vec<u3
 }
 
 impl RegionSamples {
-    /// Gathers the samples in the regions. One in several regions belongs to the one where its weight is
-    /// largest, the first of them where that is a draw.
+    /// Gathers the samples in the regions. A sample in several regions belongs to the one where its weight
+    /// is largest, the first of them where that is a draw.
     pub fn gather(input: &PrepareInput<'_>, goal: &Goal, host: &Host<'_>) -> PluginResult<Self> {
         let positions = input.samples.positions();
         let regions = input.regions();
@@ -139,7 +139,7 @@ impl RegionSamples {
         Ok(constraints)
     }
 
-    /// Adds the samples of a region, each by where it is in the frame of the region.
+    /// Adds the samples of a region, each by its place in the frame of the region.
     fn add_region(&mut self, role: Role, members: &[Point]) {
         let handle = (role == Role::HANDLE).then_some(self.handles.len());
         self.has_fixed |= handle.is_none();
@@ -153,9 +153,10 @@ impl RegionSamples {
         }
     }
 
-    /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a
-    /// few more on both sides that move along with their region. Without them a handle that turns would shear
-    /// the space beside the plane instead. Not for compact kernels, which would reach farther by them.
+    /// Gives constraints on one plane or line, which do not determine the deformation beside it, some
+    /// thickness: a few more constraints on both sides that move along with their region. Without them a
+    /// handle that turns would shear the space beside the plane instead. Not for compact kernels, which
+    /// would reach farther by the added constraints.
     fn thicken(&mut self, orders: &mut Vec<Vec<usize>>) -> PluginResult<()> {
         let mut added = Vec::new();
         for normal in flat_directions(&self.points)? {
@@ -194,12 +195,12 @@ impl RegionSamples {
         })
     }
 
-    /// How many right-hand sides there are.
+    /// Number of right-hand sides.
     pub fn functions(&self) -> usize {
         PER_HANDLE * self.handles.len()
     }
 
-    /// What right-hand side `function` is at a constraint.
+    /// Value of right-hand side `function` at a constraint.
     pub fn target(&self, constraint: usize, function: usize) -> f64 {
         if self.handle[constraint] != Some(function / PER_HANDLE) {
             return 0.0;
@@ -211,7 +212,7 @@ impl RegionSamples {
     }
 }
 
-/// Unit directions in which the points have no extent to speak of.
+/// Unit directions in which the points have next to no extent.
 fn flat_directions(points: &[Point]) -> PluginResult<Vec<Point>> {
     let count = points.len() as f64;
     let mean = points.iter().fold([0.0; 3], |s, p| std::array::from_fn(|i| s[i] + p[i] / count));
@@ -221,7 +222,7 @@ fn flat_directions(points: &[Point]) -> PluginResult<Vec<Point>> {
     let eigen = covariance
         .self_adjoint_eigen(Side::Lower)
         .map_err(|_| PluginError::internal("the principal axes of the regions were not found"))?;
-    // In ascending order.
+    // Extents are in ascending order.
     let (extents, axes) = (eigen.S().column_vector(), eigen.U());
     let flat = (0..3).filter(|&i| extents[i] <= FLAT * FLAT * extents[2]);
     Ok(flat.map(|i| [axes[(0, i)], axes[(1, i)], axes[(2, i)]]).collect())
@@ -235,8 +236,8 @@ fn frame_of(points: &[Point]) -> HandleFrame {
     HandleFrame { centroid, radius: if radius > 0.0 { radius } else { 1.0 } }
 }
 
-/// At most `limit` of the points with the given indices, such that every beginning is well spread: one per
-/// cell of ever finer grids over the unit box, and then the rest in their own order.
+/// At most `limit` of the points with the given indices, in an order of which every beginning is well
+/// spread: one point per cell of ever finer grids over the unit box, and then the rest in their own order.
 pub fn spread_order(points: &[Point], indices: impl Iterator<Item = usize>, limit: usize) -> Vec<usize> {
     const LEVELS: u32 = 10;
     let mut order = Vec::new();
@@ -260,7 +261,7 @@ pub fn spread_order(points: &[Point], indices: impl Iterator<Item = usize>, limi
     order
 }
 
-/// One of each in turn; regions with fewer run out earlier.
+/// Takes one of each list in turn; regions with fewer run out earlier.
 fn interleave(orders: &[Vec<usize>]) -> Vec<usize> {
     let longest = orders.iter().map(Vec::len).max().unwrap_or(0);
     (0..longest).flat_map(|i| orders.iter().filter_map(move |o| o.get(i).copied())).collect()

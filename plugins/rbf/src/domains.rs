@@ -1,9 +1,9 @@
-//! An approximate inverse of interpolation's matrix, by domains that overlap and a coarse selection.
+//! Approximate inverse of the interpolation's matrix, by domains that overlap and a coarse selection.
 //!
 //! R. K. Beatson, W. A. Light, S. Billups, *Fast solution of the radial basis function interpolation
 //! equations: domain decomposition methods*, SIAM Journal on Scientific Computing 2000. Each domain
-//! interpolates for itself, with surroundings that overlap others; weights of its own centres count. What is
-//! left over at well-spread centres is interpolated by these.
+//! interpolates for itself, with surroundings that overlap others; only the weights of its own centres
+//! count. The residuals at well-spread centres are interpolated by these.
 
 use crate::constraints::spread_order;
 use crate::kernel::{BasisFunctions, Point, RadialKernel};
@@ -13,17 +13,17 @@ use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
 
-/// Most centres that are a domain's own.
+/// Greatest number of a domain's own centres.
 const OWN: usize = 160;
-/// Centres of a domain with its surroundings. Their factors are 8 * ALL^2 bytes a domain: 130 MB for 20 000
-/// centres.
+/// Number of centres of a domain with its surroundings. Their factors are 8 * ALL^2 bytes a domain: 130 MB
+/// for 20 000 centres.
 const ALL: usize = 360;
-/// One centre of so many is a coarse one,
+/// Number of centres of which one is a coarse one,
 const COARSE_OF: usize = 5;
-/// between so few and so many.
+/// and least and greatest number of coarse ones.
 const COARSE: [usize; 2] = [500, 2000];
-/// What keeps a factorisation from failing by rounding, as a part of the matrix' mean eigenvalue: the first
-/// that does.
+/// Ridges that keep a factorisation from failing by rounding, as a part of the matrix' mean eigenvalue: the
+/// first that does is taken.
 const RIDGES: [f64; 4] = [1e-13, 1e-11, 1e-8, 1e-4];
 
 /// The approximate inverse.
@@ -34,9 +34,9 @@ pub struct Domains<'a> {
     side: &'a SideConditions,
 }
 
-/// Some centres that interpolate for themselves.
+/// Domain of some centres, which interpolate for themselves.
 struct Domain {
-    /// The centres that the domain reaches; its own ones come first.
+    /// Centres that the domain reaches; its own ones come first.
     centers: Vec<usize>,
     own: usize,
     side: SideConditions,
@@ -65,7 +65,7 @@ impl Domain {
         None
     }
 
-    /// The weights that meet the values at its centres, but for an affine function.
+    /// Weights that meet the values at the domain's centres, up to an affine function.
     fn solve(&self, mut values: Mat<f64>, kernel: RadialKernel) -> Mat<f64> {
         self.side.take_out(values.as_mut());
         self.factor.solve_in_place(values.as_mut());
@@ -75,20 +75,21 @@ impl Domain {
 }
 
 impl<'a> Domains<'a> {
-    /// Divides the centres, and factorises.
+    /// Divides the centres into domains, and factorises their matrices.
     pub fn new(
         functions: &'a BasisFunctions,
         side: &'a SideConditions,
         host: &Host<'_>,
     ) -> PluginResult<Self> {
-        // On one thread each: what depends on the number of cores would not be the same elsewhere.
+        // Each factorisation is on one thread: a result that depends on the number of cores would not be
+        // the same elsewhere.
         faer::set_global_parallelism(faer::Par::Seq);
         let all = functions.centers.len();
         let mut parts = Vec::new();
         divide(&functions.centers, (0..all).collect(), &mut parts);
         let coarse = (all / COARSE_OF).clamp(COARSE[0], COARSE[1]).min(all);
         let coarse = spread_order(&functions.centers, 0..all, coarse);
-        // The coarse ones first: they take longest.
+        // The coarse domain comes first: it takes longest.
         let mut made: Vec<Option<Domain>> = (0..=parts.len()).map(|_| None).collect();
         host.parallel_blocks(&mut made, 1, |i, made| {
             made[0] = match i.checked_sub(1) {
@@ -107,7 +108,7 @@ impl<'a> Domains<'a> {
         Ok(Self { functions, domains, coarse, side })
     }
 
-    /// Weights that nearly meet the values at the centres, but for an affine function: centres x sums.
+    /// Weights that nearly meet the values at the centres, up to an affine function: centres x sums.
     pub fn solve(&self, values: &Mat<f64>, host: &Host<'_>) -> PluginResult<Mat<f64>> {
         let kernel = self.functions.kernel;
         let at = |domain: &Domain| {
@@ -134,7 +135,7 @@ impl<'a> Domains<'a> {
     }
 }
 
-/// Halves along the longest side of the box, until parts are small.
+/// Halves a part along the longest side of its box, until parts are small.
 fn divide(centers: &[Point], mut part: Vec<usize>, parts: &mut Vec<Vec<usize>>) {
     if part.len() <= OWN {
         parts.push(part);
@@ -153,7 +154,7 @@ fn divide(centers: &[Point], mut part: Vec<usize>, parts: &mut Vec<Vec<usize>>) 
     divide(centers, second, parts);
 }
 
-/// A part, and the centres next to its box.
+/// Centres of a part, and those next to its box.
 fn with_surroundings(centers: &[Point], part: &[usize]) -> Vec<usize> {
     let [low, high] = bounds(centers, part);
     let mut is_own = vec![false; centers.len()];

@@ -1,12 +1,13 @@
 //! Choosing the centres, and solving for their weights.
 //!
-//! Incremental least squares, after §4 of Botsch and Kobbelt 2005: few centres at first, the worst served
-//! constraints next, until all are met. Unlike there, each round adds a quarter as many centres as there are,
-//! and where there are very many constraints, some take part that are well spread. Whenever there are twice
-//! as many centres, all constraints are checked, and more that are not met take part.
+//! Incremental least squares, after §4 of Botsch and Kobbelt 2005: few centres at first, the constraints
+//! with the largest residuals next, until all are met. Unlike there, each round adds a quarter as many
+//! centres as there are, and of very many constraints only some take part, which are well spread. Whenever
+//! there are twice as many centres, all constraints are checked, and more of those that are not met take
+//! part.
 //!
-//! Where that does not meet them with [`CHOSEN`] centres and there may be more, these are interpolated by,
-//! which costs their square and not their cube (`interpolation`).
+//! If [`CHOSEN`] centres do not meet the constraints and there may be more, the targets are interpolated at
+//! the centres, which costs the square of their number and not its cube (`interpolation`).
 
 use crate::TOGETHER;
 use crate::constraints::{RegionSamples, spread_order};
@@ -17,45 +18,46 @@ use faer::Mat;
 use simod_plugin_api::{ErrorCode, Host, ParamSet, PluginError, PluginResult};
 use std::collections::HashSet;
 
-/// Centres of the first round.
+/// Number of centres of the first round.
 const FIRST_CENTERS: usize = 32;
-/// Constraints in the least squares, for each centre that there may be; all others are checked.
+/// Number of constraints in the least squares for each centre that there may be; all others are checked.
 const ROWS_PER_CENTER: usize = 4;
-/// Constraints in the least squares at least, however few centres there may be.
+/// Least number of constraints in the least squares, however few centres there may be.
 const FEWEST_ROWS: usize = 512;
-/// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave
-/// open.
+/// Ridge on all unknowns, relative to kernels of about 1: it determines unknowns that coplanar or
+/// coincident constraints leave open.
 const RIDGE: f64 = 1e-9;
-/// Centres that are chosen one by one, at most.
+/// Greatest number of centres that are chosen one by one.
 const CHOSEN: usize = 1000;
-/// How many times more there are after each round of interpolation, at most.
+/// Greatest factor by which the centres get more after each round of interpolation.
 const MORE: usize = 6;
-/// All that are left become centres where more than this part of them are not met: the others would follow
-/// in a round of their own, which costs as much again.
+/// Part of the constraints that are left, of which more have to be unmet for all to become centres: the
+/// others would follow in a round of their own, which costs as much again.
 const NEARLY_ALL: f64 = 0.75;
-/// Centres of an interpolation are one where they are in the same cell of this size, in the unit box.
+/// Size of a cell, in the unit box, in which centres of an interpolation are one.
 const CELL: f64 = 1e-5;
-/// What interpolation leaves over at the centres, as a part of the tolerance.
+/// Residual of the interpolation at the centres, as a part of the tolerance.
 const LEFT: f64 = 0.5;
-/// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
+/// Distance of two centres, in the unit box, below which they are one: single-precision positions do not
+/// tell them apart.
 const COINCIDENT: f64 = 1e-7;
 
-/// Centres beyond which no preparation would end.
+/// Greatest number of centres: no preparation of more would end.
 pub const MOST_CENTERS: i64 = 50_000;
 
-/// What to reach, and at what expense: the plugin's parameters.
+/// Parameters: the accuracy, and the expense.
 #[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
-    /// How smooth the deformation is, and how far it reaches; of compact ones, no farther than the support
+    /// Radial function, by which the deformation is smooth or local; compact ones reach as far as the support
     #[param(default = RadialKernel::Triharmonic, invalidates_preparation)]
     pub kernel: RadialKernel,
-    /// How far a compact kernel reaches from the regions; what is farther from all of them stays where it is
+    /// Distance from the regions up to which a compact kernel reaches; what is farther stays where it is
     #[param(default = 0.25, unit = "diagonal", hard = 1e-3..=10.0, soft = 0.02..=1.0, invalidates_preparation)]
     pub support: f64,
-    /// How far regions may stray, relative to the handles' motion
+    /// Distance by which regions may stray, relative to the handles' motion
     #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
-    /// Limits the time of the preparation
+    /// Largest number of centres, which limits the time of the preparation
     #[param(name = "Most centres", default = 1000, hard = 8..=MOST_CENTERS, soft = 100..=20_000)]
     #[param(group = "Accuracy", invalidates_preparation)]
     pub max_centers: i64,
@@ -72,7 +74,7 @@ pub struct SplineFit {
     pub residual: f64,
 }
 
-/// Fits all right-hand sides; falls short of the tolerance where the centres run out, which `residual` tells.
+/// Fits all right-hand sides; falls short of the tolerance where the centres run out, as `residual` shows.
 /// `support` is that of compact kernels, in the unit box. Progress runs from 0 to `until`.
 pub fn fit(
     constraints: &RegionSamples,
@@ -105,20 +107,20 @@ fn largest(residuals: &[f64]) -> f64 {
     residuals.iter().copied().fold(0.0, f64::max)
 }
 
-/// What to fit, and how well.
+/// Constraints and goal of a fit.
 struct Fitter<'a> {
     constraints: &'a RegionSamples,
     goal: &'a Goal,
     support: f64,
-    /// Centres at most.
+    /// Greatest number of centres.
     most: usize,
     host: &'a Host<'a>,
     until: f64,
 }
 
 impl Fitter<'_> {
-    /// Well spread ones. What is fixed matters to compact kernels only where handles reach it, and becomes a
-    /// centre when that shows.
+    /// Centres of the first round, well spread. Fixed constraints matter to compact kernels only where
+    /// handles reach them, and become centres when that shows.
     fn first_centers(&self) -> Vec<usize> {
         let matters = |i: &usize| !self.goal.kernel.is_compact() || self.constraints.handle[*i].is_some();
         let spread = self.constraints.spread.iter().copied().filter(matters);
@@ -127,13 +129,13 @@ impl Fitter<'_> {
         centers
     }
 
-    /// Constraints in the least squares, at most.
+    /// Greatest number of constraints in the least squares.
     fn most_rows(&self) -> usize {
         (ROWS_PER_CENTER * self.most).max(FEWEST_ROWS)
     }
 
-    /// Takes more constraints into the least squares, well spread among those that are not met, the worst of
-    /// each place.
+    /// Takes more constraints into the least squares, well spread among those that are not met, the one of
+    /// largest residual at each place.
     fn take_failing(&self, rows: &mut Vec<usize>, residuals: &[f64]) {
         let mut is_row = vec![false; residuals.len()];
         rows.iter().for_each(|&i| is_row[i] = true);
@@ -143,7 +145,7 @@ impl Fitter<'_> {
         rows.extend(spread_order(&self.constraints.points, failing.into_iter(), room));
     }
 
-    /// Adds centres from among `rows` until these constraints are met, there are twice as many, or nothing is
+    /// Adds centres from among `rows` until these constraints are met, there are twice as many, or none is
     /// left to add.
     fn greedy(&self, rows: &[usize], centers: &mut Vec<usize>) -> PluginResult<(BasisFunctions, Mat<f64>)> {
         let points: Vec<Point> = rows.iter().map(|&i| self.constraints.points[i]).collect();
@@ -170,7 +172,7 @@ impl Fitter<'_> {
             let weights = squares.solve();
             self.check_finite(&weights)?;
             let residuals = self.residuals(Some(rows), &functions, &weights)?;
-            // What is to come costs about the square of the centres.
+            // The cost of the rounds to come is about the square of the centres.
             self.host.progress(self.until * (centers.len() as f64 / self.most as f64).powi(2).min(1.0))?;
             let met = residuals.iter().all(|r| *r <= self.goal.tolerance);
             if met || centers.len() >= enough || !self.add_worst(rows, &residuals, &is_center, centers) {
@@ -179,8 +181,8 @@ impl Fitter<'_> {
         }
     }
 
-    /// Makes what is not met centres, up to `most` of them, until all is; where rounding ends that, the best
-    /// fit.
+    /// Makes unmet constraints centres, up to `most`, until all are met; where rounding ends that, the best
+    /// fit is kept.
     fn interpolate(
         &self,
         mut fit: SplineFit,
@@ -188,7 +190,7 @@ impl Fitter<'_> {
         mut residuals: Vec<f64>,
         most: usize,
     ) -> PluginResult<SplineFit> {
-        // What the last round found, of its centres: the next one goes on from there.
+        // The next round goes on from the weights that the last round found at its centres.
         let mut found = Mat::zeros(0, self.constraints.functions());
         while fit.residual > self.goal.tolerance && centers.len() < most {
             let wanted = most.min(MORE * centers.len());
@@ -211,7 +213,7 @@ impl Fitter<'_> {
             found = weights.subrows(functions.kernel.affine(), centers.len()).to_owned();
             residuals = self.residuals(None, &functions, &weights)?;
             let residual = largest(&residuals);
-            // Between few centres it may be off by more than before; and in the end by rounding.
+            // Between few centres the residual may be larger than before; and in the end by rounding.
             if residual < fit.residual {
                 fit = SplineFit { functions, weights, residual };
             }
@@ -219,9 +221,9 @@ impl Fitter<'_> {
         Ok(fit)
     }
 
-    /// Makes constraints that are not met centres, well spread, the worst of each place, until there are
-    /// `wanted`. Where few are not met, others that nearly are join them, and where nearly none is, all do,
-    /// so that rounds stay few.
+    /// Makes unmet constraints centres, well spread, the one of largest residual at each place, until there
+    /// are `wanted`. Where few are unmet, others that nearly are join them, and where nearly all are, all
+    /// constraints become centres, so that rounds stay few.
     fn add_failing(&self, residuals: &[f64], wanted: usize, centers: &mut Vec<usize>) {
         let points = &self.constraints.points;
         let cell = |i: usize| points[i].map(|x| (x / CELL) as i32);
@@ -238,7 +240,7 @@ impl Fitter<'_> {
         }
     }
 
-    /// Makes the worst constraints centres; whether there are any.
+    /// Makes the constraints with the largest residuals centres. Returns whether there are any.
     fn add_worst(
         &self,
         rows: &[usize],
@@ -250,8 +252,8 @@ impl Fitter<'_> {
         let worst = worst_first(candidates.collect(), residuals);
         let before = centers.len();
         let wanted = (before + (before / 4).max(8)).min(self.most);
-        // Every place is a centre where even the least distance is too large: constraints in one place shall
-        // move differently.
+        // Where even the least distance is too large, every place is a centre: constraints in one place
+        // shall move differently.
         for distance in [0.3 / (wanted as f64).sqrt(), COINCIDENT] {
             if centers.len() == before {
                 self.add(worst.iter().map(|&i| rows[i]), wanted, distance, centers);
@@ -317,7 +319,7 @@ impl Fitter<'_> {
     }
 }
 
-/// Sorts by the residuals, largest first.
+/// Sorts constraints by their residuals, largest first.
 fn worst_first(mut indices: Vec<usize>, residuals: &[f64]) -> Vec<usize> {
     indices.sort_unstable_by(|&a, &b| residuals[b].total_cmp(&residuals[a]).then(a.cmp(&b)));
     indices

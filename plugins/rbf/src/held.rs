@@ -1,10 +1,11 @@
-//! What the fit leaves over in the regions, taken away: their samples do exactly as they are told.
+//! The residuals of the fit in the regions, taken away: samples of regions have exactly their regions'
+//! motions.
 //!
 //! The residuals, of which none is above the tolerance, are added to the solutions as another map of space:
-//! at a sample of a region its own, around it a mean of the nearest ones, which fades with the distance from
-//! the regions. The weights are those of R. Franke and G. Nielson, *Smooth interpolation of large sets of
-//! scattered data*, IJNME 1980: they interpolate, and vanish at the farthest of the samples that count, so
-//! that the map is continuous.
+//! at a sample of a region its own residual, around it a mean of the nearest ones, which fades with the
+//! distance from the regions. The weights are those of R. Franke and G. Nielson, *Smooth interpolation of
+//! large sets of scattered data*, IJNME 1980: they interpolate, and vanish at the farthest of the samples
+//! that count, so that the map is continuous.
 
 use crate::TOGETHER;
 use crate::constraints::RegionSamples;
@@ -14,21 +15,21 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::num::NonZero;
 
-/// Samples of regions that count at a point.
+/// Number of samples of regions that count at a point.
 const NEAREST: NonZero<usize> = NonZero::new(12).expect("more than none");
 
 /// The residuals of all samples in regions.
 pub struct RegionResiduals {
     tree: ImmutableKdTree<f64, 3>,
-    /// Sample by sample, those of all right-hand sides.
+    /// Residuals sample by sample, of all right-hand sides.
     residuals: Vec<f32>,
     functions: usize,
-    /// The distance from the regions where nothing is left, in the unit box.
+    /// Distance from the regions from which on no residual is added, in the unit box.
     reach: f64,
 }
 
 impl RegionResiduals {
-    /// The residuals of the samples in the regions; the tables' values there are the targets.
+    /// Residuals of the samples in the regions; the tables' values there are the targets.
     pub fn new(
         constraints: &RegionSamples,
         fit: &SplineFit,
@@ -67,7 +68,7 @@ impl RegionResiduals {
         let Some(nearest) = near.first().map(|n| n.distance.sqrt()) else { return };
         let is_full = near.len() == NEAREST.get();
         let rim = near.last().filter(|_| is_full).map_or(self.reach, |n| n.distance.sqrt());
-        // Relative to the nearest one's, so that nothing overflows.
+        // Weights are relative to the nearest sample's, so that nothing overflows.
         let weight = |square: f64| match square.sqrt() {
             0.0 => 1.0,
             distance => ((1.0 - distance / rim).max(0.0) * nearest / distance).powi(2),
@@ -76,7 +77,7 @@ impl RegionResiduals {
         let t = (nearest / self.reach).min(1.0);
         let fade = (1.0 - t * t) * (1.0 - t * t);
         for n in &near {
-            // Where all are equally far, their mean.
+            // Samples that are all equally far have equal weights.
             let share = if sum > 0.0 { weight(n.distance) / sum } else { (near.len() as f64).recip() };
             let residuals = &self.residuals[n.item as usize * self.functions..][..self.functions];
             values.iter_mut().zip(residuals).for_each(|(v, r)| *v += fade * share * f64::from(*r));

@@ -1,4 +1,4 @@
-//! Interpolation by very many centres: what the values are at each of them.
+//! Interpolation of given values at very many centres.
 //!
 //! The equations are solved by GMRES (Y. Saad, M. Schultz, SIAM Journal on Scientific and Statistical
 //! Computing 1986), for all right-hand sides side by side, with `domains` as an approximate inverse: some ten
@@ -11,11 +11,11 @@ use crate::sums::sums_at;
 use faer::Mat;
 use simod_plugin_api::{Host, PluginResult};
 
-/// Steps until what is left is found anew, for the sake of rounding.
+/// Number of steps until the residual is computed anew, against rounding.
 const STEPS: usize = 24;
-/// Times that what is left is found anew, at most.
+/// Greatest number of times that the residual is computed anew.
 const CYCLES: usize = 3;
-/// A cycle that leaves more than this part has come to where rounding ends it.
+/// Part of the residual: a cycle that leaves more has come to where rounding ends it.
 const WORTH: f64 = 0.3;
 
 /// Weights by which the functions are `targets` at their centres, to the tolerance or as near as rounding
@@ -109,7 +109,7 @@ fn scale(matrix: &mut Mat<f64>, column: usize, length: f64) {
     (0..matrix.nrows()).for_each(|i| matrix[(i, column)] *= by);
 }
 
-/// The least squares of one right-hand side, kept triangular by rotations.
+/// Least squares of one right-hand side, kept triangular by rotations.
 struct Hessenberg {
     columns: Vec<Vec<f64>>,
     rotations: Vec<[f64; 2]>,
@@ -140,7 +140,7 @@ impl Hessenberg {
         self.columns.push(column);
     }
 
-    /// The length of what is left over.
+    /// Length of the residual.
     fn left(&self) -> f64 {
         self.right.last().map_or(0.0, |x| x.abs())
     }
@@ -174,7 +174,7 @@ mod tests {
             let found = first.subrows(kernel.affine(), 700).to_owned();
             let again = solve(found.clone());
             assert_eq!(again.subrows(kernel.affine(), 700), found, "{kernel:?}");
-            // From what is far off the same comes, at the centres and between them.
+            // A start that is far off leads to the same values, at the centres and between them.
             let other = solve(Mat::from_fn(700, 2, |i, f| found[(i, f)] * 1.5));
             let values = |weights: &Mat<f64>, points: &[Point]| functions.sums(points, weights.as_ref());
             for (points, first) in centers.chunks(100).zip((0..).step_by(100)) {

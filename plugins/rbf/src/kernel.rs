@@ -34,18 +34,18 @@ pub enum RadialKernel {
 }
 
 impl RadialKernel {
-    /// Whether it is zero beyond the support.
+    /// Whether the kernel is zero beyond the support.
     pub fn is_compact(self) -> bool {
         matches!(self, Self::CompactC2 | Self::CompactC4)
     }
 
-    /// Columns of the affine part that goes with it: 1, x, y, z, or none. A compact kernel has none: it would
-    /// reach everywhere.
+    /// Number of columns of the kernel's affine part: 1, x, y, z, or none. A compact kernel has none: it
+    /// would reach everywhere.
     pub fn affine(self) -> usize {
         if self.is_compact() { 0 } else { 4 }
     }
 
-    /// The first compact one, of the squared distance.
+    /// Value of the C² compact kernel at the squared distance `r2`; `per_support` is one over the support.
     #[inline(always)]
     pub fn compact_c2(r2: f64, per_support: f64) -> f64 {
         let t = (r2.sqrt() * per_support).min(1.0);
@@ -53,7 +53,7 @@ impl RadialKernel {
         left2 * left2 * (4.0 * t + 1.0)
     }
 
-    /// The second.
+    /// Value of the C⁴ compact kernel, likewise.
     #[inline(always)]
     pub fn compact_c4(r2: f64, per_support: f64) -> f64 {
         let t = (r2.sqrt() * per_support).min(1.0);
@@ -70,8 +70,8 @@ pub struct UnitBoxMap {
 }
 
 impl UnitBoxMap {
-    /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an
-    /// extent.
+    /// Map of the points' box, whose longest side is taken to be `least` at least; `None` where it is nothing
+    /// even so.
     pub fn from_points(points: &[Point], least: f64) -> Option<Self> {
         let mut min = [f64::INFINITY; 3];
         let mut max = [f64::NEG_INFINITY; 3];
@@ -87,37 +87,37 @@ impl UnitBoxMap {
             .then(|| Self { origin: std::array::from_fn(|i| 0.5 * (min[i] + max[i])), scale })
     }
 
-    /// From local coordinates to the unit box.
+    /// Point of local coordinates in the unit box.
     pub fn to_unit(self, p: Point) -> Point {
         std::array::from_fn(|i| (p[i] - self.origin[i]) * self.scale)
     }
 
-    /// From a local length to one in the unit box.
+    /// Length in local coordinates as one in the unit box.
     pub fn to_unit_length(self, length: f64) -> f64 {
         length * self.scale
     }
 }
 
-/// The functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part. Everything
-/// in the unit box.
+/// Functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part, all in the
+/// unit box.
 #[derive(Debug, Clone)]
 pub struct BasisFunctions {
     /// The radial function.
     pub kernel: RadialKernel,
-    /// The radius of a compact one.
+    /// Radius of a compact kernel.
     pub support: f64,
     /// The centres c_j.
     pub centers: Vec<Point>,
 }
 
 impl BasisFunctions {
-    /// How many functions there are.
+    /// Number of functions.
     pub fn count(&self) -> usize {
         self.centers.len() + self.kernel.affine()
     }
 
-    /// Row `i` of `matrix` gets the values at point `i` of the functions from `first` on, as many as it has
-    /// columns: first there are those of the affine part, then those of the centres.
+    /// Fills row `i` of `matrix` with the values at point `i` of the functions from `first` on, as many as
+    /// there are columns: the functions of the affine part come first, then those of the centres.
     pub fn fill(&self, points: &[Point], first: usize, mut matrix: MatMut<'_, f64>) {
         let per_support = self.support.recip();
         for column in 0..matrix.ncols() {
@@ -142,8 +142,9 @@ impl BasisFunctions {
         }
     }
 
-    /// The side conditions Σ w_j = 0, Σ w_j c_j = 0, a row each, which keep the far field affine: the
-    /// coefficients of the functions from `first` on. Nothing where there is no affine part.
+    /// Fills a matrix with the side conditions Σ w_j = 0, Σ w_j c_j = 0, a row each, which keep the far
+    /// field affine: the coefficients of the functions from `first` on. Nothing where there is no affine
+    /// part.
     pub fn side_conditions(&self, first: usize, mut matrix: MatMut<'_, f64>) {
         let affine = self.kernel.affine();
         for column in affine.saturating_sub(first)..matrix.ncols() {
@@ -170,7 +171,7 @@ impl BasisFunctions {
     }
 }
 
-/// The values of a function of the squared distance from `c`.
+/// Fills the values of a function of the squared distance from `c`.
 fn radial(points: &[Point], c: &Point, values: &mut [f64], phi: impl Fn(f64) -> f64) {
     for (value, p) in values.iter_mut().zip(points) {
         let d = [p[0] - c[0], p[1] - c[1], p[2] - c[2]];

@@ -1,5 +1,5 @@
-//! Least squares whose unknowns come by and by: a QR factorisation that grows by columns, as in §4 of Botsch
-//! and Kobbelt 2005, panel by panel, so that all cores take part and a user can stop it.
+//! Least squares whose unknowns come one after the other: a QR factorisation that grows by columns, as in
+//! §4 of Botsch and Kobbelt 2005, panel by panel, so that all cores take part and a user can stop it.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::householder::{
@@ -11,14 +11,14 @@ use faer::linalg::triangular_solve::solve_upper_triangular_in_place;
 use faer::{Conj, Mat, MatMut, Par};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Columns of a panel.
+/// Number of columns of a panel.
 const PANEL: usize = 48;
 
 /// Minimises `|A x - b|² + |ridge x|²` for many right-hand sides `b`.
 pub struct RidgeRegression {
-    /// What holds the unknowns that the equations leave open.
+    /// Ridge, which determines unknowns that the equations leave open.
     ridge: f64,
-    /// Equations; below them there is a row of the ridge for each unknown.
+    /// Number of equations; below them there is a row of the ridge for each unknown.
     equations: usize,
     panels: Vec<ColumnPanel>,
     /// Right-hand sides, as far as factorised.
@@ -27,7 +27,7 @@ pub struct RidgeRegression {
 
 /// Some columns of the factorisation.
 struct ColumnPanel {
-    /// The columns before it, which is also where its own rows begin.
+    /// Number of columns before the panel, which is also the first of its own rows.
     first: usize,
     /// The rows of R before.
     above: Mat<f64>,
@@ -46,7 +46,7 @@ impl ColumnPanel {
         self.above.ncols()
     }
 
-    /// Multiplies with the transpose of its orthogonal matrix.
+    /// Multiplies a matrix with the transpose of the panel's orthogonal matrix.
     fn reflect(&self, matrix: MatMut<'_, f64>) {
         let (basis, coefficients) = (self.own.Q_basis(), self.own.Q_coeff());
         let needed = memory::<f64>(basis.nrows(), coefficients.nrows(), matrix.ncols());
@@ -57,21 +57,23 @@ impl ColumnPanel {
 }
 
 impl RidgeRegression {
-    /// Without unknowns yet, of which there will be at most `most`; `right` is equations x right-hand sides.
+    /// Least squares without unknowns yet, of which there will be at most `most`; `right` is equations x
+    /// right-hand sides.
     pub fn new(right: &Mat<f64>, most: usize, ridge: f64) -> Self {
         let mut below = Mat::zeros(right.nrows() + most, right.ncols());
         below.subrows_mut(0, right.nrows()).copy_from(right);
         Self { ridge, equations: right.nrows(), panels: Vec::new(), right: below }
     }
 
-    /// Unknowns so far.
+    /// Number of unknowns so far.
     fn unknowns(&self) -> usize {
         self.panels.last().map_or(0, |p| p.first + p.len())
     }
 
     /// Adds unknowns, with their columns of A: equations x unknowns.
     pub fn append(&mut self, columns: &Mat<f64>, host: &Host<'_>) -> PluginResult<()> {
-        // On one thread: what depends on the number of cores would not be the same elsewhere.
+        // Panels are factorised on one thread: a result that depends on the number of cores would not be
+        // the same elsewhere.
         faer::set_global_parallelism(Par::Seq);
         let (before, equations) = (self.unknowns(), self.equations);
         let part = |from: usize| {
@@ -128,7 +130,7 @@ mod tests {
 
     #[test]
     fn a_ridge_holds_what_is_open() {
-        // The same column twice.
+        // The matrix has the same column twice.
         let matrix = Mat::from_fn(20, 2, |i, _| i as f64);
         let mut squares = RidgeRegression::new(&Mat::from_fn(20, 1, |i, _| i as f64), 2, 1e-9);
         squares.append(&matrix, &Host::new(&())).unwrap();

@@ -1,14 +1,14 @@
 //! Handle-based deformation of space by radial basis functions.
 //!
 //! M. Botsch, L. Kobbelt, *Real-Time Shape Editing using Radial Basis Functions*, Eurographics 2005: the
-//! displacement `d(x) = Σ w_j |x - c_j|³ + affine(x)` that meets the fixed and the handle regions' samples is
-//! as smooth as can be in between. Handles move affinely, so the solutions for all their motions are spanned
-//! by four per handle: these are found once, in `prepare`, with their values at all samples; a motion then
-//! costs one small product per sample.
+//! displacement `d(x) = Σ w_j |x - c_j|³ + affine(x)` that meets the fixed and the handle regions' samples
+//! is as smooth as can be in between. Handles move affinely, so the solutions for all their motions are
+//! spanned by four solutions per handle: these are found once, in `prepare`, with their values at all
+//! samples; a motion then costs one small product per sample.
 //!
-//! With compact kernels there is no affine part: what is farther than the support from all regions does not
-//! move at all, and a motion of all handles together is none of the whole. Either way what is in a region
-//! does exactly what the region does (`held`).
+//! With compact kernels there is no affine part: places farther than the support from all regions do not
+//! move at all, and a motion of all handles together is none of the whole. Either way samples in a region
+//! have exactly the region's motion (`held`).
 
 mod constraints;
 mod domains;
@@ -31,11 +31,11 @@ use simod_plugin_api::{
 };
 use table::SolutionTable;
 
-/// How far from the regions residuals are felt, in units of the diagonal.
+/// Distance from the regions within which residuals are felt, in units of the diagonal.
 const HELD_REACH: f64 = 0.05;
 /// Share of the preparation's progress that the fit has; the samples' table has the rest.
 const FIT_SHARE: f64 = 0.7;
-/// Blocks of points on one thread, which share their working memory.
+/// Number of blocks of points on one thread, which share their working memory.
 const TOGETHER: usize = 64;
 
 /// The plugin.
@@ -128,11 +128,12 @@ impl Evaluate for Rbf {
     }
 }
 
-/// What the handles do, in terms of the right-hand sides.
+/// Motions of the handles, in terms of the right-hand sides.
 struct HandleCombination {
-    /// Applied everywhere: what the handles have in common, or nothing where there are fixed samples.
+    /// Affine map that is applied everywhere: the handles' common part, or the identity where there are fixed
+    /// samples or the kernel is compact.
     common: Affine,
-    /// How much of each solution comes on top, local coordinates.
+    /// Coefficient of each solution that is added to the common part, in local coordinates.
     coefficients: Vec<Point>,
 }
 
@@ -142,8 +143,9 @@ impl PreparedFits {
             let message = format!("{} transforms for {} handles", transforms.len(), self.handles.len());
             return Err(PluginError::internal(message));
         }
-        // Solutions reproduce affine maps anyway; taking the common part out makes that exact, and settles
-        // what coplanar handles leave open. Compact kernels shall leave the rest alone.
+        // Solutions reproduce affine maps anyway; taking the common part out makes that exact, and
+        // determines the motion that coplanar handles leave open. Compact kernels shall leave the rest of
+        // the model alone.
         let is_local = self.has_fixed || self.fit.functions.kernel.is_compact();
         let common = if is_local { Affine::IDENTITY } else { mean(transforms) };
         let mut coefficients = Vec::with_capacity(PER_HANDLE * transforms.len());
@@ -159,7 +161,7 @@ impl PreparedFits {
     }
 }
 
-/// The mean of affine maps; exactly the map where all are the same.
+/// Mean of affine maps; exactly the map where all are the same.
 fn mean(transforms: &[Affine]) -> Affine {
     let first = transforms.first().copied().unwrap_or(Affine::IDENTITY);
     let rest = |i: usize, j: usize| {
@@ -169,26 +171,26 @@ fn mean(transforms: &[Affine]) -> Affine {
     Affine { rows: std::array::from_fn(|i| std::array::from_fn(|j| first.rows[i][j] + rest(i, j))) }
 }
 
-/// What is left over of a motion, beyond which regions that move apart may touch each other, so that no
-/// centres help.
+/// Residual of a motion from which on regions that move apart may touch each other, so that no centres
+/// help.
 const CONTRADICTION: f64 = 0.4;
 
-/// What is met where so much of a motion is left over, in percent, with as many digits as tell it from all of
-/// it.
+/// Part of a motion that is met, in percent, for this residual, with as many digits as tell it from all of
+/// the motion.
 fn met(left: f64) -> String {
     let decimals = (-left.max(1e-12).log10() - 2.0).ceil().clamp(0.0, 8.0) as usize;
     format!("{:.decimals$} %", 100.0 * (1.0 - left.min(1.0)))
 }
 
-/// The next tolerance above what is left over, of one digit.
+/// Next tolerance of one digit above a residual.
 fn tolerance_above(left: f64) -> f64 {
     let digit = 10f64.powf(left.max(1e-9).log10().floor());
     let above = (left / digit + 0.01).ceil();
-    // As it is written: 0.3, not 0.30000000000000004.
+    // The number is read back from one digit: 0.3, not 0.30000000000000004.
     format!("{:.0e}", (above * digit).min(1.0)).parse().unwrap_or(1.0)
 }
 
-/// Tells what the user may not want.
+/// Warns the user of a fit that misses the tolerance, and of other doubtful results.
 fn warn(constraints: &RegionSamples, fit: &SplineFit, goal: &Goal, host: &Host<'_>) {
     let centers = fit.functions.centers.len();
     if fit.residual > goal.tolerance {

@@ -4,20 +4,21 @@
 use crate::kernel::{Point, RadialKernel};
 use faer::{Mat, MatMut, MatRef};
 
-/// Affine functions that are this much less than others, at the centres, count as others: centres on a plane.
+/// Part of the largest affine function below which a function at the centres is none of its own: centres on
+/// a plane.
 const FLAT: f64 = 1e-6;
 
 /// An orthonormal basis of the affine functions at some centres.
 #[derive(Debug)]
 pub struct SideConditions {
-    /// centres x functions; without any for kernels that have no affine part
+    /// Basis, centres x functions; no column for kernels that have no affine part.
     basis: Mat<f64>,
-    /// How these are made of 1, x, y and z: 4 x functions.
+    /// Coefficients of the basis in terms of 1, x, y and z: 4 x functions.
     made_of: Mat<f64>,
 }
 
 impl SideConditions {
-    /// By Gram and Schmidt, each twice, for the sake of rounding.
+    /// Basis at these centres, by Gram and Schmidt, each twice against rounding.
     pub fn new(kernel: RadialKernel, centers: &[Point]) -> Self {
         let affine = kernel.affine();
         let (mut basis, mut made_of): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
@@ -53,13 +54,13 @@ impl SideConditions {
         }
     }
 
-    /// The affine functions that are nearest to columns: coefficients of 1, x, y and z.
+    /// Affine functions that are nearest to columns: coefficients of 1, x, y and z.
     pub fn nearest(&self, columns: MatRef<'_, f64>) -> Mat<f64> {
         &self.made_of * (self.basis.transpose() * columns)
     }
 
     /// Makes a symmetric matrix one that has the affine functions for eigenvectors, with the mean of the
-    /// others' eigenvalues, and is otherwise the same. Gives that mean.
+    /// others' eigenvalues, and is otherwise the same. Returns that mean.
     pub fn complete(&self, matrix: &mut Mat<f64>) -> f64 {
         self.take_out(matrix.as_mut());
         let mut turned = matrix.transpose().to_owned();

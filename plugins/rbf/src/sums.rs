@@ -1,4 +1,4 @@
-//! Sums of radial kernels at many points: where most of the time goes, once there are many centres.
+//! Sums of radial kernels at many points: most of the time is spent here, once there are many centres.
 
 use crate::TOGETHER;
 use crate::kernel::{BLOCK, BasisFunctions, Point, RadialKernel};
@@ -15,7 +15,7 @@ pub fn sums_at(
 ) -> PluginResult<Mat<f64>> {
     let sums = weights.ncols();
     let mut rows = vec![0.0; points.len() * sums];
-    // Whole blocks, few at a time, so that all threads have some.
+    // Blocks are whole, and few at a time, so that all threads have some.
     let together = (TOGETHER / 16).max(1) * BLOCK;
     host.parallel_blocks(&mut rows, (together * sums).max(1), |first, rows| {
         let points = &points[first / sums..];
@@ -57,8 +57,7 @@ pub fn block(functions: &BasisFunctions, points: &[Point], weights: MatRef<'_, f
     sums
 }
 
-/// The loops, in the words of whatever vectors the processor has. Nothing is fused, so that all have the same
-/// bits.
+/// Loops over vectors of the processor's width. Nothing is fused, so that all widths give the same bits.
 struct Summing<'a, F> {
     at: &'a [[f64; BLOCK]; 3],
     centers: &'a [Point],

@@ -1,4 +1,4 @@
-//! The solutions' values at all samples, and what a motion makes of them, many samples at a time.
+//! The solutions' values at all samples, and the images of the samples by a motion, many samples at a time.
 
 use crate::constraints::RegionSamples;
 use crate::fit::SplineFit;
@@ -8,16 +8,16 @@ use crate::{HandleCombination, TOGETHER};
 use pulp::Arch;
 use simod_plugin_api::{Host, PluginResult};
 
-/// Samples at a time: loops over as many are what compilers make vectors of. Nothing is fused, so that all
-/// vectors give the same bits.
+/// Number of samples side by side: compilers make vectors of loops over so many. Nothing is fused, so that
+/// all widths of vectors give the same bits.
 const LANES: usize = 8;
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
 
 type SampleLanes = [f64; LANES];
 
-/// Each sample's values of all right-hand sides' solutions: of as many samples as there are lanes, those of
-/// one solution follow each other.
+/// Values of all right-hand sides' solutions at each sample: within a group of as many samples as there are
+/// lanes, the values of one solution follow each other.
 pub struct SolutionTable {
     values: Vec<[f32; LANES]>,
     functions: usize,
@@ -25,8 +25,8 @@ pub struct SolutionTable {
 }
 
 impl SolutionTable {
-    /// The table of all samples: what those of the regions do is told. The rest of the preparation's progress
-    /// begins at `done`.
+    /// Table of all samples: the values of the samples in regions are the targets. The rest of the
+    /// preparation's progress begins at `done`.
     pub fn new(
         fit: &SplineFit,
         held: &RegionResiduals,
@@ -42,7 +42,7 @@ impl SolutionTable {
         let entries = BLOCK / LANES * functions;
         host.parallel_blocks(&mut values, TOGETHER * entries, |first, values| {
             let first = first / functions * LANES;
-            // Whether to go on is looked after by whoever hands out the blocks.
+            // The wish to stop is looked after by the code that hands out the blocks.
             let _ = host.progress(done + (1.0 - done) * first as f64 / samples.max(1) as f64);
             let (mut free, mut sum) = (Vec::new(), vec![0.0; functions]);
             for (values, first) in values.chunks_mut(entries).zip((first..).step_by(BLOCK)) {
@@ -69,12 +69,12 @@ impl SolutionTable {
         Ok(Self { values, functions, samples })
     }
 
-    /// Whether it is of so many solutions at so many samples.
+    /// Whether the table is of so many solutions at so many samples.
     pub fn is_of(&self, functions: usize, samples: usize) -> bool {
         (self.functions, self.samples) == (functions, samples)
     }
 
-    /// Where a motion takes the samples, which are at `rest`.
+    /// Moves the samples, which are at `rest`, by a motion.
     pub fn deform(
         &self,
         motion: &HandleCombination,
@@ -89,7 +89,7 @@ impl SolutionTable {
     }
 }
 
-/// Moves the samples that values, rest positions and results begin with.
+/// Moves the first samples of values, rest positions and results.
 #[inline(always)]
 fn deform(motion: &HandleCombination, values: &[[f32; LANES]], rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
     let values = values.chunks_exact(motion.coefficients.len());
@@ -105,7 +105,7 @@ fn deform(motion: &HandleCombination, values: &[[f32; LANES]], rest: &[[f32; 3]]
     }
 }
 
-/// What becomes of as many points as there are lanes.
+/// Images of as many points as there are lanes.
 #[inline(always)]
 fn images(motion: &HandleCombination, values: &[[f32; LANES]], p: &[[f32; LANES]; 3]) -> [[f32; LANES]; 3] {
     let at = p.map(|axis| axis.map(f64::from));
@@ -119,7 +119,7 @@ fn images(motion: &HandleCombination, values: &[[f32; LANES]], p: &[[f32; LANES]
     }
     let mut images = *p;
     for lane in 0..LANES {
-        // Bit for bit where it was, also a zero with a sign.
+        // A sample that does not move stays bit for bit, also a zero with a sign.
         let moves = (0..3).fold(false, |any, axis| any | (q[axis][lane] != at[axis][lane]));
         for axis in 0..3 {
             images[axis][lane] = if moves { q[axis][lane] as f32 } else { images[axis][lane] };
@@ -133,8 +133,8 @@ mod tests {
     use super::*;
     use simod_plugin_api::Affine;
 
-    /// Many at a time are to the bit as each by itself, and what nothing moves stays, also a zero with a
-    /// sign.
+    /// Many samples at a time have to the bit the images of each by itself, and a sample that nothing moves
+    /// stays, also a zero with a sign.
     #[test]
     fn many_at_a_time_move_as_each_does() {
         let (samples, functions) = (8 * DEFORM_BLOCK / 5 + 3, 4);

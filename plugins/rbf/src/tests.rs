@@ -47,7 +47,7 @@ impl Setup {
         }
     }
 
-    /// Held below y = 1, a handle above y = 7.
+    /// Bar that is held below y = 1, with a handle above y = 7.
     fn bar(n: usize) -> Self {
         let points = bar(n);
         let fixed = weights(&points, |p| p[1] < 1.0);
@@ -263,7 +263,7 @@ fn stops_when_asked() {
     assert_eq!(error.code, ErrorCode::CANCELLED);
 }
 
-/// Held below y = 1, with a ring about the middle and the top as handles.
+/// Bar that is held below y = 1, with a ring about the middle and the top as handles.
 fn two_handles(n: usize) -> Setup {
     let points = bar(n);
     let fixed = weights(&points, |p| p[1] < 1.0);
@@ -272,7 +272,7 @@ fn two_handles(n: usize) -> Setup {
     Setup::new(points, vec![(Role::FIXED, fixed), (Role::HANDLE, ring), (Role::HANDLE, top)])
 }
 
-/// Turned, grown by a factor and moved.
+/// Affine map that is also scaled by a factor about a pivot.
 fn grown(mut affine: Affine, factor: f64, pivot: Point) -> Affine {
     let at = affine.apply(pivot);
     for (row, at) in affine.rows.iter_mut().zip(at) {
@@ -421,7 +421,7 @@ fn what_is_not_connected_moves_with_space() {
     }
 }
 
-/// Held below the middle, and a handle above it, where they meet all around.
+/// Bar that is held below the middle, with a handle above it, where both meet all around.
 fn border(n: usize, gap: f32) -> Setup {
     let points = bar(n);
     let fixed = weights(&points, |p| p[1] < 4.0 - gap);
@@ -444,17 +444,17 @@ fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
             assert!(log.0.lock().unwrap().is_empty());
         }
     }
-    // Where nearly all constraints have to be centres, all are at once.
+    // Where nearly all constraints have to be centres, all become centres at once.
     let state = Setup { kernel: "biharmonic", ..border(2500, 0.0) }.prepare(&()).unwrap();
     assert_eq!(state.fit.functions.centers.len(), 2500);
-    // As many as may be, and what is left over is told.
+    // The centres are as many as may be, and the residual is told.
     let setup = Setup { max_centers: 1500.0, ..border(2500, 0.0) };
     let log = Log::default();
     let state = setup.prepare(&log).unwrap();
     assert!(state.fit.functions.centers.len() <= 1500);
     let told = log.0.lock().unwrap().concat();
     assert!(told.contains("raise `max-centers` to 6000, or raise `tolerance` to "), "{told}");
-    // With the tolerance that it says, there is nothing to be told any more.
+    // With the tolerance that the message advises, there is nothing to be told any more.
     let tolerance =
         told.split_once("`tolerance` to ").unwrap().1.split_once(". ").unwrap().0.parse().unwrap();
     let log = Log::default();
@@ -462,7 +462,7 @@ fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
     assert!(log.0.lock().unwrap().is_empty(), "{tolerance}");
 }
 
-/// `cargo test --release -p simod-plugin-rbf cost -- --ignored --nocapture`
+/// Times are printed by `cargo test --release -p simod-plugin-rbf cost -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints times, and asserts nothing"]
 fn cost() {
@@ -470,7 +470,7 @@ fn cost() {
         for (n, gap, tolerance) in [
             (16_540, 0.0, 1e-7),
             (20_000, 0.0, 1e-6),
-            // Where rounding ends it, and all are centres.
+            // Rounding ends this fit, when all constraints are centres.
             (20_000, 0.0, 1e-9),
             (25_000, 0.8, 1e-6),
             (100_000, 3.2, 1e-6),

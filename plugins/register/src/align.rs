@@ -1,6 +1,6 @@
-//! The motion or similarity that lays the model on the target before anything bends: by landmarks, or by the
-//! closest points of the best fitting parts (D. Chetverikov and others, *The trimmed iterative closest point
-//! algorithm*, ICPR 2002), from where the model lies or from many turns, those of the axes and of the
+//! Motion or similarity that lays the model on the target before anything bends: by landmarks, or by the
+//! closest points of the best fitting parts (D. Chetverikov and others, *The trimmed iterative closest
+//! point algorithm*, ICPR 2002), from the model's place or from many turns, those of the axes and of the
 //! principal ones.
 
 use crate::points::{Extent, Pair, similarity, some};
@@ -10,33 +10,33 @@ use glam::{DAffine3, DMat3, DVec3};
 use simod_geometry::symmetric_eigen;
 use simod_plugin_api::{Host, LogLevel, PluginError, PluginResult};
 
-/// Points of the model that are looked at, and of the target: in the search, and in the end.
+/// Number of points of the model, and of the target, that are looked at: in the search, and in the end.
 const SEARCHED: [usize; 2] = [300, 2000];
 const REFINED: [usize; 2] = [1500, 20_000];
-/// Most steps from each first turn, and in the end.
+/// Greatest number of steps from each first turn, and in the end.
 const STEPS: [usize; 2] = [20, 100];
-/// A step that moves no point by more than this part of the target's size is the last one.
+/// Motion of a step, as a part of the target's size, below which the step is the last one.
 const STILL: f64 = 1e-5;
-/// The part of the pairs that count: the others may have no counterpart.
+/// Part of the pairs that count: the others may have no counterpart.
 const FITTING: f64 = 0.7;
-/// As many more are tried from where the model lies, by which it comes from farther away.
+/// Parts of the pairs that are tried from the model's own place: with all of them the model comes from
+/// farther away.
 const PARTS: [f64; 2] = [FITTING, 1.0];
-/// Another turn has to fit so much better than none.
+/// Factor by which the score of another turn has to be smaller than that of none.
 const BETTER: f64 = 0.8;
-/// The best turns of the search, which are compared by more points, where they are only told and where they
-/// are taken.
+/// Number of the search's best turns that are compared by more points, where they are only told and where
+/// they are taken.
 const FINALISTS: [usize; 2] = [1, 5];
-/// Another turn that fits so much better is told.
+/// Factor by which the score of another turn has to be smaller for the user to be told.
 const TURNED: f64 = 0.4;
-/// Sizes that differ by more than this factor are taken for different units, and by less, for something to be
-/// told.
+/// Factor between the sizes from which on different units are assumed, and from which on the user is told.
 const UNITS: [f64; 2] = [5.0, 2.0];
-/// Boxes that are so many diagonals of the model apart do not overlap.
+/// Distance of the boxes, in diagonals of the model, from which on they do not overlap.
 const APART: f64 = 0.1;
-/// Farther away than so many diagonals, single precision would lose the model's details.
+/// Distance in diagonals from which on single precision would lose the model's details.
 const FAR: f64 = 1e3;
 
-/// What is laid on what.
+/// Input of an alignment: the model and the target.
 pub struct Alignment<'a> {
     pub settings: &'a Settings,
     pub model: (&'a [DVec3], Extent),
@@ -44,14 +44,14 @@ pub struct Alignment<'a> {
     pub pairs: &'a [Pair],
 }
 
-/// A map, and how well it fits: the mean of the squares of the best fitting distances both ways.
+/// Map with its score: the mean of the squares of the best fitting distances both ways.
 #[derive(Debug, Clone, Copy)]
 struct ScoredMap {
     map: DAffine3,
     score: f64,
 }
 
-/// The motion or similarity from the model to the target, as far as it is asked for.
+/// Motion or similarity from the model to the target, as far as the settings ask for one.
 ///
 /// # Errors
 /// The target is of another size, or elsewhere, and is not to be aligned so far; the user cancelled.
@@ -105,7 +105,7 @@ fn do_not_overlap(gap: f64) -> PluginError {
     .hint("give `align = \"rigid\"`, which lays one on the other")
 }
 
-/// Tells the user what an alignment is, which moves the model by `away` of its diagonals.
+/// Tells the user of an alignment, which moves the model by `away` of its diagonals.
 fn tell(map: &DAffine3, away: f64, host: &Host<'_>) {
     let scale = map.matrix3.determinant().cbrt();
     let (_, turn, _) = map.to_scale_rotation_translation();
@@ -119,7 +119,7 @@ fn tell(map: &DAffine3, away: f64, host: &Host<'_>) {
     );
 }
 
-/// Whether the target is about as large as the model, or that does not matter.
+/// Checks that the target is about as large as the model, or that its size does not matter.
 fn sizes_agree(align: Align, ratio: f64, host: &Host<'_>) -> PluginResult<()> {
     let factor = ratio.max(1.0 / ratio);
     if align == Align::Similarity || factor <= UNITS[1] {
@@ -181,7 +181,7 @@ impl Alignment<'_> {
     }
 }
 
-/// What the search looks at.
+/// Data of the search for turns.
 struct Search {
     source: Vec<DVec3>,
     target: Vec<DVec3>,
@@ -207,7 +207,7 @@ impl Search {
         turns
     }
 
-    /// By closest points, from a first map, of which a part counts, in at most so many steps.
+    /// Improves a first map by closest points, of which a part counts, in at most so many steps.
     ///
     /// # Errors
     /// The user cancelled.
@@ -253,8 +253,8 @@ impl Search {
         similarity(&pairs, self.with_scale)
     }
 
-    /// The best map that some first ones are improved to, each by several parts of the points. A later one
-    /// has to be [so much better](BETTER) than one before it.
+    /// Best map that some first ones are improved to, each by several parts of the points. A later map has
+    /// to be [so much better](BETTER) than one before it.
     fn improved_best(
         &self,
         firsts: &[DAffine3],
@@ -282,7 +282,7 @@ fn fitting(part: f64, count: usize) -> usize {
     ((count as f64 * part) as usize).max(3).min(count)
 }
 
-/// The mean of the squares of the best fitting distances.
+/// Mean of the squares of the best fitting distances.
 fn best_of(tree: &Tree, points: &[DVec3]) -> f64 {
     let mut all: Vec<f64> =
         points.iter().filter_map(|p| tree.nearest(*p, &|_| true).map(|(_, squared)| squared)).collect();
@@ -291,7 +291,7 @@ fn best_of(tree: &Tree, points: &[DVec3]) -> f64 {
     best.iter().sum::<f64>() / best.len().max(1) as f64
 }
 
-/// The 24 turns that take axes to axes, none first.
+/// The 24 turns that take axes to axes, the identity first.
 fn axis_turns() -> impl Iterator<Item = DMat3> {
     const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [2, 1, 0]];
     let unit = [DVec3::X, DVec3::Y, DVec3::Z];

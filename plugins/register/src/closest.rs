@@ -3,8 +3,8 @@
 //! registration*, CVPR 2007).
 //!
 //! A pair counts if its normals agree, if it is not much longer than the others, and if it does not slant:
-//! from beyond a border, or over a gap, the closest point lies aside. So what has no counterpart follows what
-//! has.
+//! from beyond a border, or over a gap, the closest point lies aside. So parts without a counterpart follow
+//! those that have one.
 
 use crate::graph::{Carried, Graph, Term};
 use crate::points::{Pair, some};
@@ -12,22 +12,22 @@ use crate::tree::Tree;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Degrees of stiffness for each power of ten, and steps at each.
+/// Number of degrees of stiffness for each power of ten, and of steps at each.
 const DEGREES: f64 = 3.0;
 const STEPS: usize = 6;
-/// The least cosine between normals of a pair.
+/// Least cosine between normals of a pair.
 const AGREE: f64 = 0.5;
-/// Where so many of the nearest points face the same way, sides of normals are known.
+/// Part of the nearest points that have to face the same way, for the sides of normals to be known.
 const SIDES: f64 = 0.9;
-/// How much the distance counts beside that along the normal.
+/// Weight of the distance beside the distance along the normal.
 const ALONG: f64 = 0.1;
-/// Pairs that are longer than so many times the median do not count.
+/// Multiple of the median length from which on pairs do not count.
 const LONGER: f64 = 4.0;
-/// How far aside of its normal a pair may lie, in distances between the target's points.
+/// Distance aside of its normal that a pair may have, in distances between the target's points.
 const ASIDE: f64 = 1.5;
-/// How much all landmarks count together, beside all pairs.
+/// Weight of all landmarks together, beside all pairs.
 const LANDMARKS: f64 = 10.0;
-/// A step that moves nodes by less than this part of the model's spread ends a degree.
+/// Motion of nodes in a step, as a part of the model's spread, below which a degree ends.
 const STILL: f64 = 2e-4;
 const BLOCK: usize = 64;
 
@@ -38,15 +38,15 @@ pub struct Surface<'a> {
     pub normals: &'a [DVec3],
 }
 
-/// What is fitted to what. Lengths are those of a model about 0 and of unit spread.
+/// Source and target of a fit. Lengths are those of a model about 0 and of unit spread.
 pub struct Closest<'a> {
     source: Surface<'a>,
     target: Surface<'a>,
     landmarks: &'a [Pair],
     tree: Tree,
-    /// Between neighbours of the target's points.
+    /// Distance between neighbours of the target's points.
     spacing: f64,
-    /// The nodes that carry each of the source's points.
+    /// Nodes that carry each of the source's points.
     carried: Vec<Carried>,
 }
 
@@ -58,7 +58,7 @@ struct Match {
     distance: f64,
 }
 
-/// The source as a graph carries it, with what is looked up in it.
+/// Source as a graph carries it, with the tree of its points.
 struct Moved {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
@@ -67,25 +67,25 @@ struct Moved {
     knows_sides: bool,
 }
 
-/// How well a graph fits.
+/// Quality of a graph's fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fit {
-    /// The root of the mean square of the distances of what matches, the model's points and the target's.
+    /// Root of the mean square of the distances of matching points, the model's and the target's.
     pub rms: f64,
     /// The parts of the model's points and of the target's that match.
     pub matched: [f64; 2],
     /// See [`Graph::strain`].
     pub strain: f64,
-    /// How far landmarks are from where they belong: the root of the mean square; nothing where there are
-    /// none.
+    /// Distance of landmarks from their targets: the root of the mean square; nothing where there are no
+    /// landmarks.
     pub landmarks: Option<f64>,
 }
 
 impl Fit {
-    /// What of the ways to a fit the best one has least of. Strain tells those that stretch a part over the
-    /// whole, or bend what should only be turned. A part may be missing on one side, but hardly on both: the
-    /// side that is matched better counts most. Distances count little, in those between the target's points,
-    /// as far as there is a match.
+    /// Cost of a fit, by which the best of several ways is chosen. Strain tells ways that stretch a part
+    /// over the whole, or bend a part that should only be turned. A part may be missing on one side, but
+    /// hardly on both: the side that is matched better counts most. Distances count little, in distances
+    /// between the target's points, as far as there is a match.
     pub fn cost(&self, spacing: f64) -> f64 {
         let [less, more] = {
             let [a, b] = self.matched;
@@ -107,7 +107,8 @@ impl<'a> Closest<'a> {
         Self { source, target, landmarks, tree, spacing, carried }
     }
 
-    /// Draws the graph from where it is, to a stiffness, from one that is so much stiffer.
+    /// Draws the graph from its present place to the target, at stiffnesses down to `stiffness`, from one
+    /// that is so much stiffer.
     ///
     /// # Errors
     /// The user cancelled; the equations have no solution.
@@ -120,7 +121,7 @@ impl<'a> Closest<'a> {
         progress: &dyn Fn(f64) -> PluginResult<()>,
     ) -> PluginResult<()> {
         let degrees = 1 + (DEGREES * stiffer.log10()).ceil() as usize;
-        // Taken once, as the system hands out memory of that size page by page.
+        // The room is taken once, as the system hands out memory of that size page by page.
         let mut room = graph.room();
         for degree in 0..degrees {
             let stiffness = stiffness * stiffer.powf(1.0 - degree as f64 / (degrees - 1).max(1) as f64);
@@ -137,7 +138,8 @@ impl<'a> Closest<'a> {
         Ok(())
     }
 
-    /// How well a graph fits as it is: what is nearer than some distances between points matches.
+    /// Quality of the graph's present fit: points match that are nearer than `within` distances between
+    /// points.
     ///
     /// # Errors
     /// The user cancelled.
@@ -195,8 +197,8 @@ impl<'a> Closest<'a> {
         Ok(Moved { points, normals, tree, spacing, knows_sides })
     }
 
-    /// The pairs of the source's points, and those of some of the target's: the nearest whose normals agree,
-    /// if it does not lie aside.
+    /// Pairs of the source's points, and those of some of the target's: the nearest point whose normal
+    /// agrees, if it does not lie aside.
     fn matches(&self, moved: &Moved, host: &Host<'_>) -> PluginResult<[Vec<Option<Match>>; 2]> {
         let target = self.target;
         let agrees = |n: DVec3, other: DVec3| {
@@ -231,7 +233,7 @@ impl<'a> Closest<'a> {
         Ok([there, back])
     }
 
-    /// Pairs as they are now, both ways, and landmarks.
+    /// Terms of the present pairs, both ways, and of landmarks.
     fn terms(&self, graph: &Graph, host: &Host<'_>) -> PluginResult<Vec<Term>> {
         let moved = self.moved(graph, host)?;
         let mut found: Vec<Match> = self.matches(&moved, host)?.into_iter().flatten().flatten().collect();
@@ -261,7 +263,7 @@ impl<'a> Closest<'a> {
     }
 }
 
-/// How far a shift goes aside of a normal.
+/// Length of the part of a shift that is at right angles to a normal.
 fn aside(shift: DVec3, normal: DVec3) -> f64 {
     (shift - shift.dot(normal) * normal).length()
 }

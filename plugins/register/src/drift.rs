@@ -1,7 +1,7 @@
 //! Coherent point drift (A. Myronenko, X. Song, *Point set registration: coherent point drift*, PAMI 2010):
 //! the model's points are the centres of a mixture of Gaussians that all have one variance, which shrinks
-//! while it is fitted to the target's points by expectation maximisation; noise and what has no counterpart
-//! is left to a uniform part.
+//! while the mixture is fitted to the target's points by expectation maximisation; noise and points without
+//! a counterpart are left to a uniform part.
 
 use crate::gaussian::{Field, Kernel};
 use crate::points::Pair;
@@ -11,55 +11,56 @@ use faer::{Mat, Side};
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginError, PluginResult};
 
-/// Points that one thread looks at in one go.
+/// Number of points that one thread looks at in one go.
 const BLOCK: usize = 32;
-/// Beyond this exponent a Gaussian is nothing.
+/// Exponent from which on a Gaussian counts as zero.
 const NOTHING: f64 = 40.0;
-/// The variance has settled when it changes by less than this part, so many times.
+/// Relative change of the variance below which it has settled, and number of times that this has to be so.
 const SETTLED: (f64, usize) = (3e-3, 3);
-/// The least standard deviation, as a part of the points' spread: what is met so well need not be met better.
+/// Least standard deviation, as a part of the points' spread: points that are met so well need not be met
+/// better.
 const LEAST: f64 = 1e-4;
-/// The first variance of [`Start::Near`], in the middle square of distances to the nearest points.
+/// First variance of [`Start::Near`], in middle squares of distances to the nearest points.
 const FIRST: f64 = 4.0;
-/// How near landmarks are met, as a part of the points' spread.
+/// Standard deviation of landmarks, as a part of the points' spread.
 const LANDMARKS: f64 = 1e-3;
 
 /// The variance that the drift begins with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// The variance of all pairs of points, as in the paper: what lies far apart finds each other, but parts
-    /// that are missing draw the rest along.
+    /// Variance of all pairs of points, as in the paper: parts that lie far apart find each other, but
+    /// missing parts draw the rest along.
     Wide,
-    /// The variance of the nearest points: for what lies on each other already but for a deformation, also if
-    /// parts are missing.
+    /// Variance of the nearest points: for points that lie on each other already but for a deformation,
+    /// also if parts are missing.
     Near,
 }
 
-/// What the points are taken for. Lengths are those of points about 0 and of unit spread, as in the paper.
+/// Parameters of the drift. Lengths are those of points about 0 and of unit spread, as in the paper.
 #[derive(Debug, Clone, Copy)]
 pub struct Drift {
-    /// The width of the Gaussians that displacements are made of (β).
+    /// Width of the Gaussians of which displacements are made (β).
     pub width: f64,
-    /// How much the norm of the displacement counts (λ).
+    /// Weight of the displacement's norm (λ).
     pub stiffness: f64,
-    /// Most centres of the displacement.
+    /// Greatest number of centres of the displacement.
     pub centers: usize,
-    /// The part of the target's points that belong to nothing (w).
+    /// Part of the target's points that belong to nothing (w).
     pub outliers: f64,
     pub most_iterations: usize,
 }
 
-/// What belongs together, by probabilities.
+/// Points that belong together, by probabilities.
 struct Expected {
-    /// For each point of the model: how much of the target belongs to it (P 1), and the weighted sum of that
-    /// (P X).
+    /// For each point of the model: the number of the target's points that belong to it (P 1), and their
+    /// weighted sum (P X).
     own: Vec<(f64, DVec3)>,
-    /// The sum of the squares of the target's points, as far as they belong to anything.
+    /// Sum of the squares of the target's points, weighted by their belonging to anything.
     squares: f64,
 }
 
 impl Drift {
-    /// The displacement that takes `source` to `target`, and the number of iterations. Landmarks belong
+    /// Displacement that takes `source` to `target`, and the number of iterations. Landmarks belong
     /// together for sure.
     ///
     /// # Errors
@@ -107,7 +108,7 @@ impl Drift {
         Ok((found, self.most_iterations))
     }
 
-    /// How far each point of one cloud belongs to each of the other (equation 6 of the paper, for all
+    /// Probabilities that points of the two clouds belong together (equation 6 of the paper, for all
     /// points).
     fn expect(
         &self,
@@ -124,7 +125,8 @@ impl Drift {
             x if x < NOTHING => (-x).exp(),
             _ => 0.0,
         };
-        // For each point of the target the sum over the model's, and the whole with the uniform part.
+        // The sums have, for each point of the target, the sum over the model's points, and the whole with
+        // the uniform part.
         let mut sums = vec![[0.0; 2]; target.len()];
         host.parallel_blocks(&mut sums, BLOCK, |first, sums| {
             for (sum, x) in sums.iter_mut().zip(&target[first..]) {
@@ -181,8 +183,8 @@ fn variance_of_all(source: &[DVec3], target: &[DVec3]) -> f64 {
     (squares(source, a) + squares(target, b) + a.distance_squared(b)) / 3.0
 }
 
-/// Four times the square that half of the distances to the nearest points are below, on the side where these
-/// are longer.
+/// Four times the square that half of the distances to the nearest points are below, on the side where
+/// these distances are longer.
 fn variance_of_nearest(source: &[DVec3], target: &[DVec3]) -> f64 {
     let nearest = |from: &[DVec3], to: &[DVec3]| {
         let tree = Tree::new(to);

@@ -1,26 +1,26 @@
 //! The low-rank Gaussian kernel of coherent point drift, and its field.
 //!
-//! A pivoted Cholesky decomposition takes the place of the largest eigenvalues (Myronenko and Song 2010, §7).
-//! What it leaves is a kernel of a few centres, so that the displacement is a sum of Gaussians about these,
+//! A pivoted Cholesky decomposition takes the place of the largest eigenvalues (Myronenko and Song 2010,
+//! §7). It leaves a kernel of a few centres, so that the displacement is a sum of Gaussians about these,
 //! known anywhere.
 
 use faer::Mat;
 use glam::DVec3;
 
-/// What may be left of the kernel's diagonal of ones.
+/// Greatest rest of the kernel's diagonal of ones.
 const LEFT: f64 = 1e-6;
 
 /// `G = L Lᵀ`, where `G` is the Gaussian of each two points' distance.
 pub struct Kernel {
-    /// The points that are centres.
+    /// Points that are centres.
     pivots: Vec<usize>,
-    /// A row for each point, a column for each centre.
+    /// Factor L: a row for each point, a column for each centre.
     pub factor: Mat<f64>,
     width: f64,
 }
 
 impl Kernel {
-    /// Of points that a Gaussian of this width couples, by at most so many centres.
+    /// Kernel of points that a Gaussian of this width couples, by at most so many centres.
     pub fn new(points: &[DVec3], width: f64, most: usize) -> Self {
         let mut left = vec![1.0_f64; points.len()];
         let (mut pivots, mut columns): (Vec<usize>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
@@ -50,7 +50,7 @@ impl Kernel {
 
     /// The field whose displacements at the points are `L c`.
     pub fn field(&self, points: &[DVec3], coefficients: &Mat<f64>) -> Field {
-        // The pivots' rows are a triangle: its transpose is solved backwards.
+        // The rows of the pivots are a triangle: its transpose is solved backwards.
         let count = self.pivots.len();
         let mut weights = vec![DVec3::ZERO; count];
         for k in (0..count).rev() {

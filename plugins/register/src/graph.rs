@@ -1,6 +1,7 @@
-//! A graph of nodes that carry space along (R. W. Sumner, J. Schmid, M. Pauly, *Embedded deformation for
+//! Graph of nodes that carry space along (R. W. Sumner, J. Schmid, M. Pauly, *Embedded deformation for
 //! shape manipulation*, SIGGRAPH 2007), each turned as its neighbours' places tell (O. Sorkine, M. Alexa,
-//! *As-rigid-as-possible surface modeling*, SGP 2007): the energy of its edges is what bending costs.
+//! *As-rigid-as-possible surface modeling*, SGP 2007): the energy of the graph's edges is the cost of
+//! bending.
 
 use crate::points::{farthest, nearest_turn};
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -11,12 +12,12 @@ use glam::{DMat3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult};
 use std::collections::BTreeSet;
 
-/// Nodes that a place goes along with.
+/// Number of nodes that a place goes along with.
 const NEAR: usize = 6;
-/// Nodes are neighbours if they carry a point together with at least this weight each.
+/// Weight from which on two nodes that carry a point together are neighbours.
 const TOGETHER: f64 = 1e-3;
 
-/// A node: where it is at rest, where it went, and how it turned.
+/// Node: its place at rest, its present place, and its turn.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     rest: DVec3,
@@ -28,14 +29,14 @@ struct Node {
 #[derive(Debug, Clone)]
 pub struct Graph {
     nodes: Vec<Node>,
-    /// The edges: each two neighbours once.
+    /// Edges: each two neighbours once.
     edges: Vec<(usize, usize)>,
 }
 
-/// The nodes that a place goes along with, and how much.
+/// Nodes that a place goes along with, and their weights.
 pub type Carried = [(usize, f64); NEAR];
 
-/// A place that shall be at another, more in some directions than in others.
+/// Place that shall be at another one, more in some directions than in others.
 pub struct Term {
     pub source: DVec3,
     pub carried: Carried,
@@ -44,8 +45,8 @@ pub struct Term {
 }
 
 impl Graph {
-    /// Of at most `count` nodes, which are some of the points, as far from each other as can be; all of them
-    /// at rest.
+    /// Graph of at most `count` nodes, which are some of the points, as far from each other as can be; all
+    /// of them at rest.
     pub fn new(points: &[DVec3], count: usize) -> Self {
         let node = |i: usize| Node { rest: points[i], now: points[i], turn: DMat3::IDENTITY };
         let mut graph =
@@ -54,7 +55,7 @@ impl Graph {
         graph
     }
 
-    /// The graph where a map takes its nodes; turns follow.
+    /// Graph whose nodes are moved by a map; turns follow.
     pub fn moved(&self, map: impl Fn(DVec3) -> DVec3) -> Self {
         let mut graph = self.clone();
         graph.nodes.iter_mut().for_each(|node| node.now = map(node.rest));
@@ -62,7 +63,8 @@ impl Graph {
         graph
     }
 
-    /// The nearest nodes: those at the end of the list count for nothing, so that the map has no steps.
+    /// Nearest nodes with their weights: those at the end of the list have none, so that the map has no
+    /// steps.
     pub fn carried(&self, p: DVec3) -> Carried {
         let mut near = [(0, f64::INFINITY); NEAR + 1];
         for (i, node) in self.nodes.iter().enumerate() {
@@ -76,7 +78,7 @@ impl Graph {
         let reach = if near[NEAR].1.is_finite() {
             near[NEAR].1.sqrt()
         } else {
-            // All nodes are near.
+            // The reach covers all nodes, as all are near.
             2.0 * near.iter().filter(|n| n.1.is_finite()).map(|n| n.1.sqrt()).fold(1e-9, f64::max)
         };
         let weight = |squared: f64| {
@@ -86,17 +88,17 @@ impl Graph {
         std::array::from_fn(|k| (near[k].0, weight(near[k].1) / whole))
     }
 
-    /// Where a place goes that is carried so, without the nodes' shifts.
+    /// Image of a place with these weights, without the nodes' shifts.
     fn turned(&self, p: DVec3, carried: &Carried) -> DVec3 {
         carried.iter().map(|(i, w)| *w * (self.nodes[*i].turn * (p - self.nodes[*i].rest))).sum()
     }
 
-    /// Where a place goes that is carried so.
+    /// Image of a place with these weights.
     pub fn image(&self, p: DVec3, carried: &Carried) -> DVec3 {
         self.turned(p, carried) + carried.iter().map(|(i, w)| *w * self.nodes[*i].now).sum::<DVec3>()
     }
 
-    /// How a direction turns that is carried so; of any length.
+    /// Direction turned by the nodes with these weights; of any length.
     pub fn direction(&self, n: DVec3, carried: &Carried) -> DVec3 {
         carried.iter().map(|(i, w)| *w * (self.nodes[*i].turn * n)).sum()
     }
@@ -106,14 +108,14 @@ impl Graph {
         self.image(p, &self.carried(p))
     }
 
-    /// The root of the mean square of how far nodes are from where they are in another one.
+    /// Distance between the nodes of two graphs: the root of the mean square.
     pub fn apart(&self, other: &Self) -> f64 {
         let squares: f64 =
             self.nodes.iter().zip(&other.nodes).map(|(a, b)| a.now.distance_squared(b.now)).sum();
         (squares / self.nodes.len().max(1) as f64).sqrt()
     }
 
-    /// How much edges differ from what the turns of their nodes make of them, as a part of their lengths: the
+    /// Difference of edges from those that the turns of their nodes give, as a part of their lengths: the
     /// root of the mean square.
     pub fn strain(&self) -> f64 {
         let part = |(a, b): &(usize, usize)| {
@@ -131,8 +133,8 @@ impl Graph {
         Mat::zeros(3 * self.nodes.len(), 3 * self.nodes.len())
     }
 
-    /// Puts the nodes where terms and edges want them, then turns them, and that `times` times. The matrix of
-    /// the equations takes the room.
+    /// Moves the nodes to the least energy of terms and edges, then turns them, and that `times` times. The
+    /// matrix of the equations takes the room.
     ///
     /// # Errors
     /// The equations have no solution.
@@ -143,7 +145,7 @@ impl Graph {
         times: usize,
         room: &mut Mat<f64>,
     ) -> PluginResult<()> {
-        // Turns change the right side alone.
+        // The turns change the right side alone.
         self.normal(terms, stiffness, room);
         let factor = factorised(room)?;
         for _ in 0..times {
@@ -157,7 +159,7 @@ impl Graph {
         Ok(())
     }
 
-    /// What an edge counts, and how much nodes stay that nothing else holds.
+    /// Weight of an edge, and weight by which nodes stay that nothing else holds.
     fn weights(&self, stiffness: f64) -> (f64, f64) {
         (stiffness / self.edges.len().max(1) as f64, 1e-9 * (1.0 + stiffness))
     }
@@ -205,7 +207,7 @@ impl Graph {
         right
     }
 
-    /// Turns each node as its neighbours' places tell.
+    /// Turns each node by its neighbours' places.
     fn turn(&mut self) {
         let mut products = vec![DMat3::ZERO; self.nodes.len()];
         for (a, b) in &self.edges {
@@ -223,7 +225,7 @@ impl Graph {
     }
 }
 
-/// The factor of a matrix, of whose lower half it takes the place.
+/// Factor of a matrix, which takes the place of the matrix' lower half.
 fn factorised(matrix: &mut Mat<f64>) -> PluginResult<MatRef<'_, f64>> {
     let mut memory =
         MemBuffer::new(cholesky_in_place_scratch::<f64>(matrix.nrows(), Par::Seq, Spec::default()));
@@ -240,7 +242,7 @@ fn factorised(matrix: &mut Mat<f64>) -> PluginResult<MatRef<'_, f64>> {
     Ok(matrix.as_ref())
 }
 
-/// Nodes that carry the same points are neighbours, each two once.
+/// Edges between nodes that carry the same points, each two once.
 fn edges(carried: impl Iterator<Item = Carried>) -> Vec<(usize, usize)> {
     let mut edges = BTreeSet::new();
     for nodes in carried {

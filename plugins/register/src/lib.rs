@@ -1,10 +1,10 @@
 //! Non-rigid registration: the samples are deformed to another model, a mesh or a cloud, as far as both have
 //! something in common.
 //!
-//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`, with
-//! the field of `gaussian`) finds what belongs together from afar; closest points draw a graph that is as
-//! rigid as possible (`closest`, `graph`) from there to the target. All are of some of the points, and maps
-//! of space, which any sample goes through (`registration`).
+//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`,
+//! with the field of `gaussian`) finds corresponding points from afar; closest points draw a graph that is
+//! as rigid as possible (`closest`, `graph`) from there to the target. All are fitted to some of the
+//! points, and are maps of space, which apply to any sample (`registration`).
 
 mod align;
 mod closest;
@@ -24,9 +24,9 @@ use simod_plugin_api::{
     PluginError, PluginResult, PrepareInput,
 };
 
-/// Most points that are taken of the target.
+/// Greatest number of the target's points that are taken.
 const TARGET: u32 = 20_000;
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 256;
 
 /// The plugin.
@@ -34,39 +34,37 @@ struct Register;
 
 #[derive(ParamSet)]
 struct Settings {
-    /// Drift finds what lies far apart; closest points meet the surface, and leave alone what has no
-    /// counterpart
+    /// Method; drift finds what lies far apart, closest points meet the surface where it has a counterpart
     #[param(default = Method::CpdIcp, invalidates_preparation)]
     method: Method,
-    /// Lays the model on the target first: by a motion, or at another size as well, as where units differ
+    /// Alignment at first: a rigid motion, or a similarity, which finds another size, as where units differ
     #[param(default = Align::Rigid, invalidates_preparation)]
     align: Align,
-    /// Tries many turns to lay the model on the target: where it is not known how they are turned to each
-    /// other
+    /// Tries many turns of the model first, where it is not known how it is turned to the target
     #[param(default = false, invalidates_preparation)]
     any_turn: bool,
-    /// Where the result is: at the target, or where and as large as the model was
+    /// Place of the result: at the target, or where the model was, as large as it was
     #[param(default = Place::Target, invalidates_preparation)]
     place: Place,
-    /// The part of the target's points that are noise, or have no counterpart
+    /// Part of the target's points that are noise, or have no counterpart (w)
     #[param(default = 0.1, hard = 0.0..=0.95, group = "Drift", invalidates_preparation)]
     outliers: f64,
-    /// How far a displacement carries what is around along (β)
+    /// Distance up to which a displacement carries along what is around (β)
     #[param(default = 0.5, unit = "diagonal", hard = 0.02..=10.0, soft = 0.1..=1.0, group = "Drift", invalidates_preparation)]
     width: f64,
-    /// How much displacements are shunned (λ): more is smoother, and fits less
+    /// Weight of the displacements' smoothness (λ): larger ones are smoother, and fit less
     #[param(default = 3.0, hard = 1e-6..=1e6, soft = 0.1..=10.0, group = "Drift", invalidates_preparation)]
     smoothness: f64,
-    /// Points of the model, and of the target, that take part
+    /// Number of points of the model, and of the target, that take part
     #[param(default = 1500, hard = 10..=4000, soft = 200..=3000, group = "Drift", invalidates_preparation)]
     points: i64,
-    /// Iterations at most
+    /// Number of iterations at most
     #[param(default = 150, hard = 1..=1000, soft = 20..=300, group = "Drift", invalidates_preparation)]
     iterations: i64,
-    /// How much the model resists bending in the end
+    /// Resistance of the model to bending in the end; larger ones bend less, and fit less
     #[param(default = 0.01, hard = 1e-6..=1e3, soft = 0.001..=1.0, group = "Closest points", invalidates_preparation)]
     stiffness: f64,
-    /// Nodes of the graph that bends
+    /// Number of nodes of the graph that bends; more follow finer differences
     #[param(default = 250, hard = 4..=500, soft = 50..=400, group = "Closest points", invalidates_preparation)]
     nodes: i64,
 }
@@ -97,7 +95,7 @@ enum Place {
     Model,
 }
 
-/// Where everything goes, and the samples, once and for all: 12 bytes for each.
+/// Map of space, and the images of all samples, found once and for all: 12 bytes for each.
 #[derive(Debug, Default)]
 struct State {
     map: Option<Map>,
@@ -118,11 +116,11 @@ impl Deformer for Register {
             )
             .param(
                 ParamDesc::model("target", "Target", TARGET)
-                    .hint("The model or cloud that the samples are deformed to"),
+                    .hint("Model or cloud that the samples are deformed to"),
             )
             .param(
                 ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
-                    .hint("Lines of a name, x, y, z, where these belong on the target, and maybe a weight"),
+                    .hint("Lines of a name, x, y, z, the place on the target as x, y, z, and maybe a weight"),
             )
             .param_set::<Settings>()
             .consumes(Consumes { frame: true, normals: true, ..Consumes::default() })

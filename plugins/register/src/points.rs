@@ -1,15 +1,16 @@
-//! Point sets: some of their points, how large they are, and the similarity that takes one to another.
+//! Point sets: selections of their points, their extent, and the similarity that takes one set to another.
 
 use glam::{DAffine3, DMat3, DVec3};
 use simod_geometry::nearest_rotation;
 
-/// Indices of at most so many of `count` things, spread evenly over their order.
+/// Indices of at most `most` of `count` things, spread evenly over their order.
 pub fn some(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let taken = count.min(most);
     (0..taken).map(move |i| i * count / taken)
 }
 
-/// At most so many of the points, as far from each other as can be, the first one first; none twice.
+/// Indices of at most `count` of the points, as far from each other as can be, the first one first; none
+/// twice.
 pub fn farthest(points: &[DVec3], count: usize) -> Vec<usize> {
     let mut apart = vec![f64::INFINITY; points.len()];
     let (mut found, mut next) = (Vec::new(), 0);
@@ -28,7 +29,7 @@ pub fn farthest(points: &[DVec3], count: usize) -> Vec<usize> {
     found
 }
 
-/// The extent of points: where they are, and how far they spread.
+/// Extent of points: their middle, spread and box.
 #[derive(Debug, Clone, Copy)]
 pub struct Extent {
     pub middle: DVec3,
@@ -39,12 +40,12 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// Of at least one point.
+    /// Extent of at least one point.
     pub fn measure(points: &[DVec3]) -> Self {
         let count = points.len().max(1) as f64;
         let low = points.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
         let high = points.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));
-        // About a point of theirs, so that what is far away keeps its digits.
+        // Sums are taken relative to one of the points, so that far points keep their digits.
         let from = points.first().copied().unwrap_or_default();
         let middle = from + points.iter().map(|p| (*p - from) / count).sum::<DVec3>();
         let radius = points.iter().map(|p| p.distance_squared(middle) / count).sum::<f64>().sqrt();
@@ -61,7 +62,7 @@ impl Extent {
     }
 }
 
-/// A pair of points that belong together, and how much it counts.
+/// Pair of points that belong together, with its weight.
 #[derive(Debug, Clone, Copy)]
 pub struct Pair {
     pub source: DVec3,
@@ -84,15 +85,15 @@ fn products(pairs: &[Pair], of: impl Fn(&Pair) -> (DVec3, DVec3)) -> DMat3 {
     })
 }
 
-/// The turn that is nearest to a matrix, and the sum of its singular values, that of a mirror taken off (S.
-/// Umeyama, PAMI 1991); nothing where it is not determined.
+/// Turn that is nearest to a matrix, and the sum of its singular values, that of a mirror taken off (S.
+/// Umeyama, PAMI 1991); nothing where the turn is not determined.
 pub fn nearest_turn(matrix: DMat3) -> Option<(DMat3, f64)> {
     let (turn, values) = nearest_rotation(matrix);
     (values.y > 1e-12 * values.x && values.x > 0.0).then(|| (turn, values.element_sum()))
 }
 
-/// The similarity that takes sources to targets best, or the rigid motion; nothing where they lie on a line,
-/// or nearly.
+/// Similarity that takes sources to targets best, or the rigid motion; nothing where the points lie on a
+/// line, or nearly.
 pub fn similarity(pairs: &[Pair], with_scale: bool) -> Option<DAffine3> {
     let (source, target, whole) = means(pairs);
     if !(whole.is_finite() && whole > 0.0) {

@@ -1,8 +1,8 @@
-//! From the samples and the target to a map of space: alignment, several ways of bending from there, the best
-//! of them, and what is told of it.
+//! From the samples and the target to a map of space: alignment, several ways of bending from there, the
+//! choice of the best, and the report on it.
 //!
-//! Bending happens where the model is, about 0 and of unit spread: the target is brought there, and the
-//! result goes to the target.
+//! Bending happens at the model's place, shifted to 0 and scaled to unit spread: the target is brought
+//! there, and the result goes to the target.
 
 use crate::align::{Alignment, aligned};
 use crate::closest::{Closest, Fit, Surface};
@@ -16,13 +16,13 @@ use glam::{DAffine3, DVec3};
 use simod_plugin_api::{Host, LogLevel, OtherModel, PluginError, PluginResult, PrepareInput};
 use std::fmt;
 
-/// Of the samples, most that are looked at, and that closest points take.
+/// Greatest number of the samples that are looked at, and that closest points take.
 const MODEL: usize = 20_000;
 const CLOSEST: usize = 4000;
-/// Centres of a drift's displacement at most.
+/// Greatest number of centres of a drift's displacement.
 const CENTERS: usize = 400;
-/// What is tried, and the best of it taken: closest points alone; from a drift, stiff enough to undo what it
-/// did wrong; and from a drift as it is, also from afar.
+/// Ways of bending that are tried, of which the best is taken: closest points alone; from a drift, stiff
+/// enough to undo its errors; and from a drift as it is, also from afar.
 const WAYS: [Way; 4] = [
     Way { drift: None, closest: Some(1e3) },
     Way { drift: Some(Start::Near), closest: Some(100.0) },
@@ -32,12 +32,12 @@ const WAYS: [Way; 4] = [
 /// The ways where drift alone is asked for.
 const DRIFTS: [Way; 2] =
     [Way { drift: Some(Start::Near), closest: None }, Way { drift: Some(Start::Wide), closest: None }];
-/// Samples match that are as near to the target as so many distances between its points.
+/// Distance to the target, in distances between its points, within which samples match.
 const MATCHED: f64 = 2.0;
-/// Less than this part of the samples is told.
+/// Part of the samples that match below which the user is told.
 const FEW: f64 = 0.3;
 
-/// A map of space: to where points are about 0 and of unit spread, what was found there, and to the result.
+/// Map of space: to coordinates about 0 and of unit spread, the bending there, and to the result.
 #[derive(Debug)]
 pub struct Map {
     to: DAffine3,
@@ -63,7 +63,7 @@ impl Bent {
 }
 
 impl Map {
-    /// Where a place goes, both in local coordinates.
+    /// Image of a place, both in local coordinates.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         self.from.transform_point3(self.bent.apply(self.to.transform_point3(p)))
     }
@@ -76,7 +76,7 @@ pub struct Points {
 }
 
 impl Points {
-    /// At most so many of `count`.
+    /// At most `most` of `count` points.
     fn gather(points: impl Fn(usize) -> [f64; 3], normals: &[[f32; 3]], count: usize, most: usize) -> Self {
         let taken: Vec<usize> = some(count, most).collect();
         let normal = |i: &usize| normals.get(*i).map_or(DVec3::ZERO, |n| DVec3::from(n.map(f64::from)));
@@ -86,7 +86,7 @@ impl Points {
         }
     }
 
-    /// At most so many of them, as far from each other as can be.
+    /// At most `most` of the points, as far from each other as can be.
     fn farthest(&self, most: usize) -> Self {
         let taken = farthest(&self.points, most);
         Self {
@@ -95,7 +95,7 @@ impl Points {
         }
     }
 
-    /// Elsewhere; normals turn along.
+    /// The points moved by a map; normals turn along.
     fn mapped(mut self, map: &DAffine3) -> Self {
         self.points.iter_mut().for_each(|p| *p = map.transform_point3(*p));
         self.normals.iter_mut().for_each(|n| *n = map.transform_vector3(*n).normalize_or_zero());
@@ -120,7 +120,7 @@ fn check_bodies(both: [(&Extent, usize); 2]) -> PluginResult<()> {
 /// The map that takes the samples to the target.
 ///
 /// # Errors
-/// Either is no body; their sizes or places speak against each other; the user cancelled.
+/// The model or the target is no body; their sizes or places speak against each other; the user cancelled.
 pub fn register(
     input: &PrepareInput<'_>,
     target: &OtherModel<'_>,
@@ -139,7 +139,7 @@ pub fn register(
         host,
         &|done| host.progress(0.15 * done),
     )?;
-    // Where the model is, about 0 and of unit spread.
+    // The map `to` leads from the model's place to coordinates about 0 and of unit spread.
     let to = DAffine3::from_scale(DVec3::splat(1.0 / own.radius)) * DAffine3::from_translation(-own.middle);
     let bring = to * align.inverse();
     if !(bring.is_finite() && to.is_finite()) {
@@ -174,9 +174,9 @@ pub fn register(
 
 /// A way to bend.
 struct Way {
-    /// Begins with a drift, from this variance.
+    /// Drift with which the way begins, from this variance.
     drift: Option<Start>,
-    /// Goes on by closest points, which begin so much stiffer than they end.
+    /// Factor by which closest points, with which the way goes on, begin stiffer than they end.
     closest: Option<f64>,
 }
 
@@ -194,7 +194,7 @@ impl fmt::Display for Way {
     }
 }
 
-/// What is bent to what, about 0 and of unit spread.
+/// Model and target that are bent to each other, about 0 and of unit spread.
 struct Task<'a> {
     settings: &'a Settings,
     model: &'a Points,
@@ -209,7 +209,7 @@ struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// The best of what is found from several starts.
+    /// Best of the results from several starts.
     fn best(&self) -> PluginResult<(Bent, Fit)> {
         let ways: &[Way] = match self.settings.method {
             Method::Align => &[],
@@ -258,7 +258,7 @@ impl Task<'_> {
         Ok(drift.run((&source, &goal), self.pairs, start, self.host, progress)?.0)
     }
 
-    /// Bends by a drift, by closest points, or by both; and the graph where that takes it.
+    /// Bends by a drift, by closest points, or by both; returns also the graph moved by that.
     fn bend(
         &self,
         drift: Option<&Field>,
@@ -310,7 +310,7 @@ fn landmark_pairs(input: &PrepareInput<'_>) -> PluginResult<Vec<Pair>> {
     Ok(pairs)
 }
 
-/// Tells how well the target is met, in the model's unit.
+/// Reports the errors at the target, in the model's unit.
 fn tell(fit: &Fit, spacing: f64, unit: f64, host: &Host<'_>) {
     let [own, other] = fit.matched.map(|part| 100.0 * part);
     host.log(

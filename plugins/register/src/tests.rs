@@ -1,4 +1,4 @@
-//! Registration against what made the target, on bodies of formulas.
+//! Registration against the map that made the target, on bodies of formulas.
 
 use super::*;
 use crate::drift::{Drift, Start};
@@ -16,7 +16,7 @@ use simod_plugin_api::{
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A host that keeps what is told, and asks to stop after so many signs of life.
+/// Host that keeps the messages, and asks to stop after so many signs of life.
 struct Log {
     told: Mutex<String>,
     left: AtomicUsize,
@@ -37,7 +37,7 @@ impl HostCalls for Log {
     }
 }
 
-/// A body without symmetries, with knobs and dents: where a direction meets it.
+/// Body without symmetries, with knobs and dents: the point in a direction.
 fn body(d: DVec3) -> DVec3 {
     const KNOBS: [([f64; 3], f64); 7] = [
         ([1.0, 0.3, 0.2], 0.25),
@@ -54,7 +54,7 @@ fn body(d: DVec3) -> DVec3 {
     (0.4 + KNOBS.map(knob).iter().sum::<f64>()) * d * DVec3::new(1.0, 0.8, 0.6)
 }
 
-/// Directions at random, others for another count.
+/// Random directions, different ones for another count.
 fn directions(count: usize) -> impl Iterator<Item = DVec3> {
     let mut state = 0x9e37_79b9_7f4a_7c15_u64 ^ count as u64;
     let mut next = move || {
@@ -97,7 +97,7 @@ struct Case {
 
 const SAMPLES: usize = 1200;
 const DIAGONAL: f64 = 1.5;
-/// As a part of the diagonal, the target's points are so far from each other: nearer than that it is met.
+/// Distance between the target's points, as a part of the diagonal: the target is met within it.
 const MET: f64 = 0.026;
 
 impl Case {
@@ -113,7 +113,7 @@ impl Case {
         }
     }
 
-    /// Without the target's points that are said.
+    /// The case without some of the target's points.
     fn without(mut self, missing: impl Fn(DVec3) -> bool) -> Self {
         let (points, normals) = std::mem::take(&mut self.target);
         let kept = points.into_iter().zip(normals).filter(|(p, _)| !missing(DVec3::from(*p)));
@@ -150,7 +150,7 @@ impl Case {
         Register::prepare(&input.with_parts(&parts), &Host::new(&self.log))
     }
 
-    /// Where the samples go that are said, beside where they were.
+    /// Images of the samples that `has` picks, beside their rest positions.
     fn moved(&self, has: &dyn Fn(DVec3) -> bool) -> PluginResult<Vec<[DVec3; 2]>> {
         let (points, normals) = surface(SAMPLES, &|p| p);
         let all = points.into_iter().zip(normals).filter(|(p, _)| has(DVec3::from(*p)));
@@ -161,8 +161,8 @@ impl Case {
         Ok(rest.iter().zip(&state.samples).map(|(p, q)| [dense(p), dense(q)]).collect())
     }
 
-    /// How far samples that are looked at are from where the truth has them: the root of the mean square, as
-    /// a part of the diagonal.
+    /// Distance of some samples from their true images: the root of the mean square, as a part of the
+    /// diagonal.
     fn error(&self, truth: &dyn Fn(DVec3) -> DVec3, looks_at: &dyn Fn(DVec3) -> bool) -> f64 {
         rms(&self.moved(EVERYWHERE).expect("a map"), truth, looks_at)
     }
@@ -238,7 +238,8 @@ fn other_units_places_and_turns_are_told_and_found() {
     (case.align, case.any_turn) = ("similarity", true);
     let refused = case.moved(EVERYWHERE).expect_err("too far away");
     assert!(refused.message.contains("would be lost") && refused.hint.contains("place"), "{refused}");
-    // Where the model is, but for a similarity that is not determined, as the target is bent.
+    // The result is at the model's place, but for a similarity that is not determined, as the target is
+    // bent.
     case.place = "model";
     let moved = case.moved(EVERYWHERE).expect("a map");
     let pair = |[p, q]: &[DVec3; 2]| Pair { source: *q, target: bend(*p), weight: 1.0 };
@@ -259,14 +260,14 @@ fn other_units_places_and_turns_are_told_and_found() {
     (case.align, case.any_turn) = ("rigid", true);
     let error = case.error(&beside, EVERYWHERE);
     assert!(error < 0.01, "{error}");
-    // Turned where it is: that is found, or told; beside, it is told.
+    // A target that is turned in its place is found, or told of; beside the model, it is told of.
     for (at, is_found) in [(DVec3::ZERO, true), (4.0 * DVec3::X, false)] {
         let turned = |p| DMat3::from_rotation_y(std::f64::consts::FRAC_PI_2) * p + at;
         let case = Case::new("align", &turned);
         let error = case.error(&turned, EVERYWHERE);
         assert!(case.told().contains("`any-turn") || (is_found && error < MET), "{error}, {}", case.told());
     }
-    // Twice and a half as large.
+    // The target is two and a half times as large.
     let case = Case::new("align", &|p| 2.5 * p);
     case.moved(EVERYWHERE).expect("a map");
     assert!(case.told().contains("larger than the model"), "{}", case.told());
@@ -275,7 +276,7 @@ fn other_units_places_and_turns_are_told_and_found() {
 #[test]
 #[expect(clippy::disallowed_methods, reason = "the file is the test's own")]
 fn landmarks_are_met() {
-    // Along the body, which the target's points hardly tell.
+    // The target is shifted along the body, which its points hardly determine.
     let slide = |p: DVec3| bend(p) + DVec3::new(0.0, 0.0, 0.1 * p.x);
     let file = std::env::temp_dir().join(format!("simod-register-{}.csv", std::process::id()));
     let model = |p: DVec3| DVec3::new(5e5, 4e6, 100.0) + 10.0 * p;
@@ -303,7 +304,7 @@ fn landmarks_are_met() {
     std::fs::remove_file(&file).expect("a file");
 }
 
-/// Points that are one are refused by a method; what lies in a line, or a plane, gets a map, or a word.
+/// Points in one place are refused by a method; points in a line, or a plane, get a map, or a message.
 fn refuses_what_cannot_be_registered(method: &'static str) {
     let case = Case::new(method, &|p| p);
     for count in [1, 3, 50] {
@@ -317,7 +318,7 @@ fn refuses_what_cannot_be_registered(method: &'static str) {
     }
 }
 
-/// A test for each method, as some take long and can be tried at the same time.
+/// Tests for each method on its own, as some take long and can be run at the same time.
 mod what_cannot_be_registered_is_refused {
     use super::refuses_what_cannot_be_registered;
 
@@ -354,7 +355,7 @@ fn a_stop_is_obeyed_anywhere() {
     }
 }
 
-/// One iteration as the paper has it, with the whole kernel and matrices (equations 6, 22 and 23).
+/// One iteration is as the paper has it, with the whole kernel and matrices (equations 6, 22 and 23).
 #[test]
 fn an_iteration_is_the_paper_s() {
     let source: Vec<DVec3> = directions(90).map(|d| 2.0 * body(d)).collect();
@@ -424,7 +425,7 @@ proptest! {
         }
     }
 
-    /// A graph whose nodes a rigid motion takes is that motion everywhere, and without strain.
+    /// A graph whose nodes a rigid motion moves is that motion everywhere, and without strain.
     #[test]
     fn a_graph_turns_with_its_nodes(
         axis in proptest::array::uniform3(-2.0..2.0_f64), at in proptest::array::uniform3(-9.0..9.0_f64), count in 8_usize..60,

@@ -2,19 +2,19 @@
 //! Best Matches in Logarithmic Expected Time*, 1977), of the points themselves, each half way through its
 //! range.
 //!
-//! Why not kiddo's, on which other plugins stand: partners are the nearest points among those that are
-//! accepted, by their normals, and points at the same distance are told apart by their index. kiddo 6.3 has
-//! no filter, so that more and more neighbours would be asked for, and leaves ties open. 100 000 points of
-//! two sheets, one core: the nearest point in 0.4 µs, and 0.25 µs by kiddo; the nearest accepted one in 1.9
-//! and 1.5 µs; 10 and 5 ms to build.
+//! The tree is not kiddo's, on which other plugins stand: partners are the nearest points among those that
+//! are accepted, by their normals, and points at the same distance are told apart by their index. kiddo 6.3
+//! has no filter, so that more and more neighbours would be asked for, and leaves ties open. 100 000 points
+//! of two sheets, one core: the nearest point in 0.4 µs, and 0.25 µs by kiddo; the nearest accepted one in
+//! 1.9 and 1.5 µs; 10 and 5 ms to build.
 
 use glam::DVec3;
 
-/// Points to be looked up.
+/// Tree of points to be looked up.
 ///
 /// Memory: 40 bytes a point.
 pub struct Tree {
-    /// Each in the middle of its range, with what splits that.
+    /// Point in the middle of each range, with its index and the axis along which it splits the range.
     nodes: Vec<(DVec3, u32, u8)>,
 }
 
@@ -25,7 +25,7 @@ impl Tree {
         Self { nodes }
     }
 
-    /// The point nearest to `p` among those that are accepted, and its squared distance.
+    /// Point nearest to `p` among those that are accepted, and its squared distance.
     pub fn nearest(&self, p: DVec3, accepts: &dyn Fn(u32) -> bool) -> Option<(u32, f64)> {
         let mut best = (u32::MAX, f64::INFINITY);
         visit(&self.nodes, p, accepts, &mut best);

@@ -1,7 +1,7 @@
-//! The joints that a place of the model follows, and how much: bounded biharmonic weights on the model's
+//! Joints that a place of the model follows, and their weights: bounded biharmonic weights on the model's
 //! voxels.
 //!
-//! See `bounded`. Weights of a thousandth are nothing, so that what is far stays.
+//! See `bounded`. Weights of a thousandth are nothing, so that places far away stay.
 
 use crate::bounded::{LANES, Lanes, solve};
 use crate::field::{Elsewhere, Entry, Field, MOST, gradient, passages};
@@ -14,9 +14,11 @@ use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A joint's share in a place below which it has none, and above which it has all of it.
+/// Shares of a joint in a place below which the joint has none of the place, and above which it has all of
+/// its share.
 const SHARES: [f64; 2] = [0.001, 0.005];
-/// Voxels so near to a bone are on it, in cells: so one between two rows of them is on both.
+/// Distance from a bone, in cells, within which voxels are on it: so a bone between two rows of them is on
+/// both.
 const BESIDE: f64 = 0.75;
 /// Weights of voxels below are not kept.
 const LEAST: f64 = 1e-4;
@@ -24,7 +26,7 @@ const LEAST: f64 = 1e-4;
 /// Weights everywhere.
 pub struct Biharmonic {
     weights: Field,
-    /// Most joints that a place follows.
+    /// Largest number of joints that a place follows.
     limit: usize,
 }
 
@@ -77,7 +79,7 @@ impl Biharmonic {
     pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
         self.weights.numbers_at(p, room);
         let largest = room.iter().map(|w| w.0).fold(f64::NEG_INFINITY, f64::max);
-        // What is continued from the voxels may come to nothing.
+        // Weights that are continued from the voxels may all be zero.
         let part =
             |w: f64| if largest > 0.0 { (w / largest).max(0.0) } else { f64::from(u8::from(w == largest)) };
         room.iter_mut().for_each(|(w, _)| *w = part(*w));

@@ -1,10 +1,10 @@
-//! How a place moves that follows several joints.
+//! Blend of the motions of several joints at a place that follows them.
 //!
-//! *Linear*: the mean of where each joint takes it. *Dual quaternions*: L. Kavan, S. Collins, J. Žára, C.
-//! O'Sullivan, *Geometric skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the mean of
-//! the joints' rigid motions as a rigid motion, which keeps volume. A joint's motion that scales is split, as
-//! there, into two phases: what it scales about the joint is blended linearly, and then the rigid rest by
-//! dual quaternions.
+//! *Linear*: the mean of the images under each joint's motion. *Dual quaternions*: L. Kavan, S. Collins, J.
+//! Žára, C. O'Sullivan, *Geometric skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the
+//! mean of the joints' rigid motions as a rigid motion, which keeps volume. A joint's motion that scales is
+//! split, as there, into two phases: the scaling about the joint is blended linearly, and then the rigid rest
+//! by dual quaternions.
 //!
 //! A dual quaternion and its negative are the same motion, but not in a mean. Signs are chosen once for a
 //! pose, each joint's such that it turns by less than half a turn against the one that it hangs on: choosing
@@ -24,7 +24,7 @@ const STEPS: usize = 60;
 /// The blend of the joints' motions.
 pub struct Blend {
     joints: Joints,
-    /// Whether a joint moves at all.
+    /// Whether each joint moves at all.
     is_moved: Vec<bool>,
 }
 
@@ -37,10 +37,10 @@ enum Joints {
     },
 }
 
-/// What to do about a motion that mirrors or flattens.
+/// Advice on a motion that mirrors or flattens.
 pub const CANNOT: &str = "dual quaternions cannot do that: set `method` to \"linear\", or scale it less";
 
-/// Whether dual quaternions cannot do a motion.
+/// Whether a motion is one that dual quaternions cannot do.
 pub fn mirrors(motion: &DAffine3) -> bool {
     rotation(motion.matrix3).is_none()
 }
@@ -50,7 +50,8 @@ struct Dual {
     /// The rigid part.
     real: DVec4,
     dual: DVec4,
-    /// What it does before, less the identity, about the joint at rest; nothing if it is rigid.
+    /// Stretch before the rigid part, less the identity, and the joint's place at rest, about which it is;
+    /// `None` if the motion is rigid.
     stretch: Option<(DMat3, DVec3)>,
 }
 
@@ -73,7 +74,8 @@ impl Blend {
             };
             let stretch = rotation.transpose() * motion.matrix3 - DMat3::IDENTITY;
             let is_rigid = stretch.to_cols_array().iter().all(|x| x.abs() <= RIGID);
-            // Where the joint itself goes is the same in both phases, as the first one leaves it where it is.
+            // The joint's own displacement is the same in both phases, as the first one leaves the joint in
+            // its place.
             let turn = DQuat::from_mat3(&rotation);
             let real = DVec4::from(turn);
             let reference = joint.parent.map_or(DVec4::W, |p| duals[p].real);
@@ -92,12 +94,13 @@ impl Blend {
         })
     }
 
-    /// Whether nothing moves.
+    /// Whether no joint moves.
     pub fn is_identity(&self) -> bool {
         !self.is_moved.contains(&true)
     }
 
-    /// Where a place goes that follows joints with these weights; exactly nowhere if none of them moves.
+    /// Image of a place that follows joints with these weights; exactly the place itself if none of them
+    /// moves.
     pub fn apply(&self, p: DVec3, influences: impl Iterator<Item = (usize, f64)> + Clone) -> DVec3 {
         if influences.clone().all(|(joint, _)| !self.is_moved[joint]) {
             return p;
@@ -136,7 +139,7 @@ fn dual_blend(
         }
     }
     let length = real.length();
-    // Opposite motions may cancel: then it is the first joint's, whose weight is the largest.
+    // Opposite motions may cancel: then the motion is the first joint's, whose weight is the largest.
     if length < 1e-6
         && let Some(joint) = first
     {
@@ -205,7 +208,7 @@ mod tests {
         assert!(q.y.hypot(q.z) < 0.02, "the candy wrapper: {q}");
     }
 
-    /// By 100° and another 100°: the whole is less the other way round, but the limb was not turned so.
+    /// Two turns by 100° each: the whole is less the other way round, but the limb was not turned so.
     #[test]
     fn signs_follow_the_skeleton() {
         let chain = [turn(DVec3::X, 100.0, DVec3::ZERO), turn(DVec3::X, 200.0, DVec3::ZERO)];
@@ -242,7 +245,7 @@ mod tests {
     }
 
     proptest! {
-        /// Where all joints do the same, so does every place: also if it scales and shears.
+        /// Places move as all joints do, where these do the same: also if it scales and shears.
         #[test]
         fn common_motions_are_met(
             m in prop::array::uniform9(-0.3..0.3_f64), t in prop::array::uniform3(-2.0..2.0_f64),

@@ -8,7 +8,7 @@
 //! The least is found by projected gradients with momentum (A. Beck, M. Teboulle, *A fast iterative
 //! shrinkage-thresholding algorithm*, SIAM J. Imaging Sci. 2, 2009; restarted as by B. O'Donoghue, E. Candès,
 //! *Adaptive restart for accelerated gradient schemes*, Found. Comput. Math. 15, 2015), first on the coarsest
-//! level, and on each finer one from there on: what is left to be found is of few cells' length.
+//! level, and on each finer one from there on: the changes that are left to be found are a few cells wide.
 
 use crate::levels::{Held, Level};
 
@@ -17,11 +17,12 @@ pub const LANES: usize = 4;
 /// The weights of as many joints at a node.
 pub type Lanes = [f64; LANES];
 
-/// Most steps on a level, the finest first; those further up, and the coarsest, have as many as the last one.
+/// Largest number of steps on a level, the finest first; those further up, and the coarsest, have as many as
+/// the last one.
 const STEPS: [usize; 3] = [120, 500, 2000];
-/// Steps end where no weight changes by more.
+/// Largest change of a weight in a step at which steps end.
 const SETTLED: f64 = 3e-7;
-/// Weights that are as near to 0 or 1, on a coarser level, are so on finer ones.
+/// Distance from 0 or 1 within which weights on a coarser level are so on finer ones.
 const NEARLY: f64 = 1e-3;
 /// Steps between two looks at whether they have settled.
 const PATIENCE: usize = 10;
@@ -35,7 +36,7 @@ pub fn solve(levels: &[Level], held: &[Held], joints: &[u16], is_wanted: impl Fn
             0 => vec![[0.0; LANES]; level.len()],
             _ => (0..level.len() as u32).map(from).collect(),
         };
-        // What is 0 or 1 all around stays as it is.
+        // Nodes whose weights are 0 or 1 all around stay as they are.
         let is_coarsest = coarser.is_empty();
         let is_open =
             |node: u32| is_coarsest || is_between(&levels[depth + 1], &coarser, level.parents[node as usize]);
@@ -62,8 +63,8 @@ fn is_between(level: &Level, weights: &[Lanes], node: u32) -> bool {
         || level.links(node).iter().any(|(other, _)| differs(&weights[*other as usize]))
 }
 
-/// The free nodes of a level, then those that these are linked to, then what these are linked to, numbered
-/// anew.
+/// Free nodes of a level, then the nodes that these are linked to, then the nodes that those are linked to,
+/// numbered anew.
 struct Part {
     nodes: Vec<u32>,
     free: usize,
@@ -72,8 +73,8 @@ struct Part {
     starts: Vec<u32>,
     links: Vec<(u32, f32)>,
     masses: Vec<f64>,
-    /// Of the energy's second derivatives the sums of each row's sizes: steps that are as much shorter go
-    /// down.
+    /// Sum of the sizes of each row of the energy's second derivatives: steps that are shorter by this factor
+    /// go down.
     bounds: Vec<f64>,
 }
 
@@ -111,7 +112,7 @@ impl Part {
             let others = this.links(row).iter().map(|(other, by)| f64::from(*by) * size(*other as usize));
             this.degree(row) * size(row) + others.sum::<f64>()
         };
-        // What is linked to nothing has none.
+        // A node that is linked to none would have the bound 0.
         this.bounds = (0..free).map(|row| bound(row).max(f64::MIN_POSITIVE)).collect();
         this
     }
@@ -124,7 +125,7 @@ impl Part {
         self.links(row).iter().map(|l| f64::from(l.1)).sum()
     }
 
-    /// The sum of differences to what a row is linked to.
+    /// Sum of a row's differences to the nodes that it is linked to.
     fn laplacian(&self, row: usize, of: &[Lanes]) -> Lanes {
         let mut sum = [0.0; LANES];
         let own = of[row];
@@ -232,7 +233,7 @@ mod tests {
         }
     }
 
-    /// Beyond the other bone, a point, the smoothest weights would be negative.
+    /// The smoothest weights would be negative beyond the other bone, a point.
     #[test]
     fn bounds_hold() {
         let weights = chain(30, vec![(0, vec![(3, 1.0)]), (1, vec![(3, 1.0)]), (12, vec![(5, 1.0)])]);
@@ -243,7 +244,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// Nothing that keeps to the bounds is smoother: the slope is 0, or leads out of them.
+        /// No weights within the bounds are smoother: the slope is 0, or leads out of the bounds.
         #[test]
         fn weights_are_the_least(
             more in prop::collection::vec((0..24_u32, 0..24_u32), 0..40),

@@ -1,9 +1,9 @@
 //! Distances from bones through the inside of a model.
 //!
-//! By fast marching (J. A. Sethian, *A fast marching level set method for monotonically advancing fronts*,
-//! PNAS 93, 1996), so that they are nearly the same in all directions, and do not show the voxels' axes as
-//! paths over these do. At the surface, where voxels have few neighbours over their faces, steps over edges
-//! and corners count too.
+//! Distances are found by fast marching (J. A. Sethian, *A fast marching level set method for monotonically
+//! advancing fronts*, PNAS 93, 1996), so that they are nearly the same in all directions, and do not show the
+//! voxels' axes as paths over these do. At the surface, where voxels have few neighbours over their faces,
+//! steps over edges and corners count too.
 
 use crate::skeleton::on_segment;
 use crate::voxels::{NONE, Voxels};
@@ -16,16 +16,16 @@ const PROJECTED: usize = 256;
 /// Steps between two looks at the wish to stop.
 const PATIENCE: usize = 1 << 12;
 
-/// Distances of all voxels, in cells; infinite where the march did not come to.
+/// Distances of all voxels, in cells; infinite where the march did not reach.
 pub struct March {
     pub distances: Vec<f32>,
-    /// The voxels that it came to, nearest first.
+    /// Voxels that the march reached, nearest first.
     pub order: Vec<u32>,
     is_done: Vec<bool>,
 }
 
-/// Voxels that were come to and are not done, by their distances: distances that are not negative have the
-/// order of their bits.
+/// Voxels that the march has reached and that are not done, by their distances: distances that are not
+/// negative have the order of their bits.
 #[derive(Default)]
 struct Front(BinaryHeap<Reverse<u64>>);
 
@@ -80,7 +80,7 @@ impl March {
         this
     }
 
-    /// Takes a distance to a voxel if it is less than what is known.
+    /// Sets a voxel's distance if it is less than the known one.
     #[inline]
     fn relax(&mut self, voxel: u32, distance: f32, front: &mut Front) {
         if distance < self.distances[voxel as usize] {
@@ -107,7 +107,7 @@ impl March {
         }
     }
 
-    /// When a front arrives at a voxel, by its neighbours: the gradient has length 1.
+    /// Distance at which a front arrives at a voxel, by its neighbours: the gradient has length 1.
     fn arrival(&self, neighbours: &[u32; 6]) -> f32 {
         let at = |voxel: u32| {
             let is_known = voxel != NONE && self.is_done[voxel as usize];
@@ -130,8 +130,8 @@ impl March {
         a + (sum + (sum * sum - 3.0 * (squares - 1.0)).max(0.0).sqrt()) / 3.0
     }
 
-    /// Rounds off creases: so many times, each value goes to the mean of its neighbours. Along an axis where
-    /// one of the two is missing it does not count, so that what is linear stays as it is.
+    /// Rounds off creases: in each of `times` rounds a value goes to the mean of its neighbours. An axis
+    /// along which one of the two is missing does not count, so that linear functions stay as they are.
     pub fn smooth(&mut self, voxels: &Voxels, times: usize, is_wanted: impl Fn() -> bool) {
         let mut next = self.distances.clone();
         for _ in 0..times {
@@ -171,7 +171,7 @@ pub fn on_bone(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<u32> {
     found
 }
 
-/// How far a voxel is from a bone, in cells.
+/// Distance of a voxel from a bone, in cells.
 pub fn far(voxels: &Voxels, voxel: u32, bone: [DVec3; 2]) -> f64 {
     let centre = voxels.centre(voxel);
     centre.distance(on_segment(centre, bone)) / voxels.grid.size

@@ -6,10 +6,10 @@ use std::path::Path;
 
 /// The number of entries, at most.
 const MOST: usize = 1 << 26;
-/// Most bytes of a file: 32 for each number, as text.
+/// Largest number of bytes of a file: 32 for each number, as text.
 const MOST_BYTES: u64 = 32 * MOST as u64;
 
-/// A defect of a file, and its line, where it is in one.
+/// Defect of a file, and the line that it is in, if it is in one.
 pub type Wrong = (Option<usize>, String);
 
 /// A matrix of finite numbers.
@@ -22,7 +22,7 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    /// A number of it.
+    /// Number at a row and a column.
     pub fn number(&self, row: usize, column: usize) -> f64 {
         self.numbers[column * self.rows + row]
     }
@@ -39,11 +39,11 @@ impl Matrix {
         Self::parse(&std::fs::read(path).map_err(unreadable)?)
     }
 
-    /// The line in which a number of it stands, if its file is text; it is read again.
+    /// Line of the file in which a number stands, if the file is text; the file is read again for it.
     pub fn line(&self, path: &Path, row: usize, column: usize) -> Option<usize> {
         let text = std::fs::read_to_string(path).ok()?;
         let (_, rest) = text.split_once('\n')?;
-        // Of a binary one, the first bytes may be text as well.
+        // The first bytes of a binary file may be text as well.
         let is_text = rest.split_whitespace().count() == self.rows * self.columns;
         is_text.then(|| line_of(rest, column * self.rows + row)).flatten()
     }
@@ -100,7 +100,7 @@ fn line_of(text: &str, word: usize) -> Option<usize> {
     (2..).zip(text.lines()).find(has_it).map(|(line, _)| line)
 }
 
-/// The columns and rows in a first line, and what is behind it.
+/// Columns and rows in a first line, and the bytes behind it.
 fn size(bytes: &[u8]) -> Result<(usize, usize, &[u8]), String> {
     let wrong = || "does not begin with its numbers of columns and rows".to_owned();
     let end = bytes.iter().take(256).position(|b| *b == b'\n').ok_or_else(wrong)?;

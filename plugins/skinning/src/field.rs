@@ -9,43 +9,43 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::collections::HashSet;
 
-/// Most numbers of voxels and joints.
+/// Largest number of entries of voxels and joints.
 pub const MOST: usize = 1 << 26;
 /// Bones that a warning names.
 const NAMED: usize = 5;
 
-/// What a joint has at a voxel.
+/// Value of a joint at a voxel.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     pub joint: u16,
     pub value: f32,
-    /// By cells.
+    /// Change from cell to cell, along each axis.
     pub gradient: [f32; 3],
 }
 
-/// The number of a joint where a voxel says nothing of it.
+/// Value of a joint where a voxel has none for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Elsewhere {
-    /// What the voxels around say.
+    /// Value that the voxels around predict.
     Unknown,
     /// 0.
     Nothing,
 }
 
-/// Numbers everywhere.
+/// Values of joints everywhere in space.
 pub struct Field {
     pub voxels: Voxels,
     elsewhere: Elsewhere,
-    /// Where each voxel's entries begin, by joint, and their number.
+    /// Start of each voxel's entries, which are ordered by joint, and the number of all.
     starts: Vec<u32>,
     entries: Vec<Entry>,
-    /// The voxels at the surface that have entries, and where they are.
+    /// Voxels at the surface that have entries, and a tree of their middles.
     reached: Vec<u32>,
     tree: ImmutableKdTree<f32, 3>,
 }
 
 impl Field {
-    /// Of the entries of each joint, with their voxels; at least one is of a voxel at the surface.
+    /// Field of the entries of each joint, with their voxels; at least one is of a voxel at the surface.
     pub fn new(voxels: Voxels, fields: &[Vec<(u32, Entry)>], elsewhere: Elsewhere) -> PluginResult<Self> {
         let (starts, entries) = by_voxel(fields, voxels.len());
         let of = |v: u32| &entries[starts[v as usize] as usize..starts[v as usize + 1] as usize];
@@ -55,8 +55,8 @@ impl Field {
         Ok(Self { voxels, elsewhere, starts, entries, reached, tree })
     }
 
-    /// The numbers of the joints at a place. Beyond the model, and in parts of it that have none, they are
-    /// those of the nearest place that has.
+    /// Finds the values of the joints at a place. Beyond the model, and in parts of it that have none, they
+    /// are those of the nearest place that has.
     pub fn numbers_at(&self, p: DVec3, values: &mut Vec<(f64, u16)>) {
         let grid = &self.voxels.grid;
         let mut voxel = self.voxels.id(grid.cell(p));
@@ -76,14 +76,14 @@ impl Field {
         &self.entries[self.starts[voxel] as usize..self.starts[voxel + 1] as usize]
     }
 
-    /// The numbers of a place in a voxel for that voxel's joints: each of the eight voxels around predicts
-    /// them to first order, and they are blended linearly.
+    /// Finds the values of a place in a voxel for that voxel's joints: each of the eight voxels around
+    /// predicts them to first order, and they are blended linearly.
     fn between(&self, p: DVec3, voxel: u32, values: &mut Vec<(f64, u16)>) {
         let own = self.entries_of(voxel);
         values.clear();
         values.extend(own.iter().map(|e| (0.0, e.joint)));
         let (corner, part) = split(&self.voxels.grid, p);
-        // How much of the blend has each joint.
+        // Sum of the weights by which the blend has each joint.
         let mut shares = [0.0; 64];
         let mut many = Vec::new();
         let shares: &mut [f64] = match own.len() {
@@ -122,19 +122,19 @@ impl Field {
     }
 }
 
-/// Whether entries say what a voxel has.
+/// Whether the entries of a voxel give any joint a value.
 fn says(elsewhere: Elsewhere, entries: &[Entry]) -> bool {
     entries.iter().any(|e| elsewhere == Elsewhere::Unknown || e.value > 0.0)
 }
 
-/// The first of the eight cells whose middles are around a place, and where it is between them.
+/// First of the eight cells whose middles are around a place, and the position of the place between these.
 fn split(grid: &Grid, p: DVec3) -> (IVec3, DVec3) {
     let place = (p - grid.origin) / grid.size - 0.5;
     let corner = place.floor();
     (corner.as_ivec3(), place - corner)
 }
 
-/// How numbers of voxels change from cell to cell; those that are not finite are not known.
+/// Changes of a voxel's value from cell to cell, along each axis; values that are not finite are not known.
 pub fn gradient(voxels: &Voxels, voxel: u32, value: impl Fn(u32) -> f32) -> [f32; 3] {
     let here = value(voxel);
     let at = |v: u32| if v == NONE { f32::INFINITY } else { value(v) };
@@ -150,7 +150,7 @@ pub fn gradient(voxels: &Voxels, voxel: u32, value: impl Fn(u32) -> f32) -> [f32
     })
 }
 
-/// The voxels that a bone passes through; or, where it is outside, those that are nearest to it.
+/// Voxels that a bone passes through; or, where it is outside, those that are nearest to it.
 #[derive(Debug)]
 pub struct Passage {
     pub voxels: Vec<u32>,
@@ -159,8 +159,8 @@ pub struct Passage {
 }
 
 impl Passage {
-    /// These voxels and those about them, up to so many cells from the bone, with their distances from it in
-    /// cells; of a bone outside, these alone.
+    /// Voxels of the passage and those about them, up to `most` cells from the bone, with their distances
+    /// from it in cells; of a bone outside, those of the passage alone.
     pub fn about(&self, voxels: &Voxels, most: f64) -> Vec<(u32, f32)> {
         let far = |voxel: u32| far(voxels, voxel, self.bone);
         let mut found = self.voxels.clone();
@@ -179,7 +179,7 @@ impl Passage {
     }
 }
 
-/// Where the bones of each joint are; those outside of the model are told.
+/// Passages of the bones of each joint; the host is told of bones outside of the model.
 pub fn passages(voxels: &Voxels, skeleton: &Skeleton, host: &Host<'_>) -> PluginResult<Vec<Vec<Passage>>> {
     let surface: Vec<u32> = (0..voxels.len() as u32).filter(|v| !voxels.is_inner(*v)).collect();
     let tree = tree(voxels, &surface)?;

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{ModelFrame, PluginError, PluginResult};
 use std::path::{Path, PathBuf};
 
-/// Most bytes of a file.
+/// Largest number of bytes of a file.
 const MOST_BYTES: u64 = 1 << 30;
 /// Numbers of a transform: the rows of a 3 × 4 matrix.
 const NUMBERS: usize = 12;
@@ -14,13 +14,13 @@ const NUMBERS: usize = 12;
 /// Numbers beyond it, in local coordinates, are no motion of a model.
 const MOST: f64 = 1e15;
 
-/// How each bone moves in each frame, in local coordinates.
+/// Motion of each bone in each frame, in local coordinates.
 pub struct Frames {
     path: PathBuf,
     bones: usize,
-    /// Frame after frame.
+    /// Motions of all bones, frame after frame.
     motions: Vec<DAffine3>,
-    /// Where each of them stands; empty of a DMAT.
+    /// Line of each motion in the file; empty of a DMAT.
     lines: Vec<u32>,
 }
 
@@ -55,7 +55,7 @@ impl Frames {
         })?;
         let motions = rows.iter().map(|row| local(row, &frame)).collect();
         let frames = Self { path: path.to_owned(), bones, motions, lines };
-        // Also where they are no numbers.
+        // Numbers that are not finite are refused as well.
         let is_small = |m: &DAffine3| m.to_cols_array().iter().all(|x| x.abs() <= MOST);
         match frames.motions.iter().position(|m| !is_small(m)) {
             None => Ok(frames),
@@ -94,7 +94,7 @@ impl Frames {
     }
 }
 
-/// From the model's coordinates to local ones.
+/// Transform in local coordinates, from one in the model's.
 fn local(row: &[f64; NUMBERS], frame: &ModelFrame) -> DAffine3 {
     let matrix3 =
         DMat3::from_cols_array(&[row[0], row[4], row[8], row[1], row[5], row[9], row[2], row[6], row[10]]);

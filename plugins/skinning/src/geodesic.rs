@@ -1,10 +1,10 @@
-//! The joints that a place of the model follows, and how much: geodesic voxel binding.
+//! Joints that a place of the model follows, and their weights: geodesic voxel binding.
 //!
 //! O. Dionne, M. de Lasa, *Geodesic voxel binding for production character meshes*, SCA 2013. Weights are of
 //! the distances from the bones through the inside of the model. Theirs are `((1 - a) d + a d²)^-2` with `d`
 //! in units of the model, which are powers of the distance between the second and the fourth; here the power
-//! itself is the parameter, so that a limb bends the same whatever its size. Small ones fade to nothing, so
-//! that what is far stays.
+//! itself is the parameter, so that a limb bends the same whatever its size. Small weights fade to nothing,
+//! so that places far away stay.
 
 use crate::distance::March;
 use crate::field::{Elsewhere, Entry, Field, MOST, Passage, gradient, passages};
@@ -15,23 +15,24 @@ use glam::DVec3;
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A joint's share in a place below which it has none, and above which it has all of it.
+/// Shares of a joint in a place below which the joint has none of the place, and above which it has all of
+/// its share.
 const SHARES: [f64; 2] = [0.01, 0.05];
-/// Distances are taken for so many cells at least.
+/// Least distance that counts, in cells.
 const NEAREST: f64 = 0.25;
-/// Around a bone, distances are exact; so far, in cells.
+/// Distance from a bone, in cells, within which distances are exact.
 const EXACT: f64 = 4.0;
-/// So much further than needed marches go, as a factor and in cells: they are smoothed and interpolated.
+/// Factor, and number of cells, by which marches go further than needed: they are smoothed and interpolated.
 const FURTHER: [f32; 2] = [1.1, 2.0];
 
-/// What the weights are by.
+/// Parameters of the weights.
 #[derive(Debug, Clone, Copy)]
 pub struct Rule {
-    /// The power of the distance by which weights fall.
+    /// Power of the distance by which weights fall.
     pub power: f64,
-    /// Over which length creases of the distances are rounded off, local coordinates.
+    /// Length over which creases of the distances are rounded off, local coordinates.
     pub smoothing: f64,
-    /// Most joints that a place follows.
+    /// Largest number of joints that a place follows.
     pub limit: usize,
 }
 
@@ -48,15 +49,15 @@ impl Geodesic {
         let about = |p: &Vec<Passage>| p.iter().flat_map(|p| p.about(&voxels, EXACT)).collect();
         let seeds: Vec<Vec<(u32, f32)>> = passages.iter().map(about).collect();
         let is_wanted = |at: f64| move || host.progress(at).is_ok();
-        // How far the nearest bone is, and how far others may be then.
+        // Distances of the nearest bones, and the largest that those of others may have then.
         let all = seeds.iter().flatten().copied();
         let nearest = March::new(&voxels, all, |_, _| true, is_wanted(0.25));
         host.progress(0.3)?;
         let wide = SHARES[0].powf(-1.0 / rule.power) as f32 * FURTHER[0];
         let needed = |v: u32| wide * nearest.distances[v as usize].max(NEAREST as f32) + FURTHER[1];
         let most = nearest.order.iter().map(|v| needed(*v)).fold(0.0, f32::max);
-        // A march goes on while it may come to where it is needed: at u if d(u) + |uv| <= needed(v) for any
-        // v.
+        // Reach of a march: it goes on while it may come to a place where it is needed: at u if d(u) + |uv|
+        // <= needed(v) for any v.
         let rest = nearest.order.iter().map(|v| (*v, most - needed(*v)));
         let useless = March::new(&voxels, rest, |_, _| true, is_wanted(0.35)).distances;
         host.progress(0.4)?;

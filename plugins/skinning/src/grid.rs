@@ -23,8 +23,8 @@ fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
 }
 
 impl Grid {
-    /// Cells about points and what is near of some bones; so many of them along the longest side of the
-    /// points' box, or along that of the bones where all points are in one place.
+    /// Grid of cells about points and the parts of some bones near them; `resolution` cells along the longest
+    /// side of the points' box, or along that of the bones where all points are in one place.
     pub fn new(points: &[[f32; 3]], bones: &[[DVec3; 2]], resolution: usize) -> Self {
         let (min, max) = extent(points.iter().map(|p| DVec3::from(p.map(f64::from))));
         let (from, to) = extent(bones.iter().flatten().copied());
@@ -76,12 +76,12 @@ impl Grid {
         (from <= to).then(|| [a.lerp(b, from), a.lerp(b, to)])
     }
 
-    /// Whether it has a cell.
+    /// Whether the grid has a cell.
     pub fn contains(&self, cell: IVec3) -> bool {
         cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.counts).all()
     }
 
-    /// Whether all cells around are in the grid.
+    /// Whether all cells around a cell are in the grid.
     pub fn is_inner(&self, cell: IVec3) -> bool {
         cell.cmpge(IVec3::ONE).all() && cell.cmplt(self.counts - 1).all()
     }
@@ -98,7 +98,7 @@ impl Grid {
         IVec3::new((index % x) as i32, (index / x % y) as i32, (index / x / y) as i32)
     }
 
-    /// How far a neighbour is in the order of all.
+    /// Distance to a neighbour in the order of all cells.
     pub fn step(&self, by: [i32; 3]) -> isize {
         (by[2] as isize * self.counts.y as isize + by[1] as isize) * self.counts.x as isize + by[0] as isize
     }

@@ -9,8 +9,8 @@ const TOGETHER: usize = 512;
 /// Joints with weights.
 pub type Influences = Vec<(f64, u16)>;
 
-/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; gives how
-/// much of them is left out. What the first one has that is left out is taken off all others, so that none
+/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; returns the
+/// part of them that is left out. The first weight that is left out is taken off all others, so that none
 /// jumps where another takes its place.
 pub fn limited(weights: &mut Influences, limit: usize) -> f64 {
     weights.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -38,7 +38,8 @@ pub fn faded(weights: &mut Influences, shares: [f64; 2]) {
     weights.retain(|(weight, _)| *weight > 0.0);
 }
 
-/// How many joints each sample of a block follows, and these, one sample after the other.
+/// Number of joints that each sample of a block follows, and the weights and joints, one sample after the
+/// other.
 type InfluenceBlock = (Vec<usize>, Vec<(f32, u16)>);
 
 /// The influences of all samples, one after the other.
@@ -48,7 +49,7 @@ pub struct InfluenceTable {
 }
 
 impl InfluenceTable {
-    /// Finds those of each sample, on all threads.
+    /// Finds the influences of each sample, on all threads.
     pub fn new(
         samples: &[[f32; 3]],
         find: impl Fn(DVec3, &mut Influences) + Sync,
@@ -57,7 +58,7 @@ impl InfluenceTable {
         let blocks = samples.len().div_ceil(TOGETHER);
         let mut all: Vec<InfluenceBlock> = vec![InfluenceBlock::default(); blocks];
         host.parallel_blocks(&mut all, 1, |block, all| {
-            // Whether to go on is looked after by whoever hands out the blocks.
+            // Cancellation is looked after by whoever hands out the blocks.
             let _ = host.progress(0.92 + 0.08 * block as f64 / blocks as f64);
             let mut room = Vec::new();
             let (counts, influences) = &mut all[0];

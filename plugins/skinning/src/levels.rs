@@ -1,16 +1,16 @@
 //! Voxels, joined to fewer and fewer nodes, level by level.
 //!
-//! A node of a coarser level is what hangs together within a block of 2 × 2 × 2 cells of the finer one: limbs
-//! beside each other stay apart however coarse the cells are (M. Nesme and others, *Preserving topology and
-//! elasticity for embedded deformable models*, SIGGRAPH 2009).
+//! A node of a coarser level is a part that hangs together within a block of 2 × 2 × 2 cells of the finer
+//! one: limbs beside each other stay apart however coarse the cells are (M. Nesme and others, *Preserving
+//! topology and elasticity for embedded deformable models*, SIGGRAPH 2009).
 
 use crate::voxels::{NONE, Voxels};
 use glam::IVec3;
 use std::collections::HashMap;
 
-/// The coarsest level has at most so many nodes, if it can.
+/// Largest number of nodes of the coarsest level, if it can be met.
 const COARSEST: usize = 1200;
-/// Of a link over an edge of two cells, as a part of one over a face.
+/// Weight of a link over an edge of two cells, as a part of one over a face.
 const OVER_EDGE: f32 = 0.25;
 
 /// Nodes with their finite volumes: links are faces by distances, in cells of the level.
@@ -26,18 +26,18 @@ pub struct Level {
 }
 
 impl Level {
-    /// How many nodes there are.
+    /// Number of nodes.
     pub fn len(&self) -> usize {
         self.masses.len()
     }
 
-    /// What a node is linked to, and how strongly.
+    /// Nodes that a node is linked to, with the links' weights.
     pub fn links(&self, node: u32) -> &[(u32, f32)] {
         let node = node as usize;
         &self.links[self.starts[node] as usize..self.starts[node + 1] as usize]
     }
 
-    /// Of links from node to node, both ways; those between the same two are summed up.
+    /// Level of links from node to node, both ways; those between the same two are summed up.
     pub fn new(mut links: Vec<(u32, u32, f32)>, masses: Vec<f64>, cells: Vec<IVec3>) -> Self {
         links.sort_unstable_by_key(|l| (l.0, l.1));
         links.dedup_by(|b, a| {
@@ -54,7 +54,7 @@ impl Level {
         Self { starts, links, masses, parents: Vec::new(), cells }
     }
 
-    /// The finest level: that of voxels.
+    /// Finest level, whose nodes are the voxels.
     fn finest(voxels: &Voxels) -> Self {
         let mut links = Vec::new();
         for v in 0..voxels.len() as u32 {
@@ -136,11 +136,11 @@ pub fn coarsened(finest: Level) -> Vec<Level> {
     levels
 }
 
-/// What is held at the nodes of a level: for each of them the joints whose bones pass through, and how much
-/// of it each has; ascending.
+/// Held nodes of a level: for each of them the joints whose bones pass through, and the part of the node that
+/// each has; ascending.
 pub type Held = Vec<(u32, Vec<(u16, f64)>)>;
 
-/// What is held at the next coarser level.
+/// Held nodes of the next coarser level.
 pub fn coarser_held(held: &Held, level: &Level) -> Held {
     let mut sums: HashMap<u32, HashMap<u16, f64>> = HashMap::new();
     for (node, shares) in held {

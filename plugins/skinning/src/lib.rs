@@ -52,7 +52,7 @@ use voxels::Voxels;
 const TOGETHER: usize = 1024;
 /// Joints that a place follows where weights are found and nothing is said.
 const FOUND: usize = 4;
-/// So much of a sample's weights may be left out without a word.
+/// Part of a sample's weights that may be left out without a warning.
 const LOST: f64 = 0.01;
 /// A file's rows should be so near to the samples, as a part of the diagonal.
 const NEAR: f64 = 0.05;
@@ -60,19 +60,21 @@ const NEAR: f64 = 0.05;
 /// The plugin.
 struct Skinning;
 
-/// How places move, and which ends reach.
+/// Settings of the blend of joints, and of the ends that reach.
 #[derive(ParamSet)]
 struct Pose {
-    /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints
-    /// twist, and bulge a little where they bend; the linear mean loses some of it
+    /// Blend of the motions of several joints; dual quaternions keep the volume in twists, linear loses some
+    ///
+    /// Dual quaternions bulge a little where joints bend.
     #[param(default = Method::DualQuaternion)]
     method: Method,
-    /// Which joints have a handle `ID/reach`: where it is moved, the chain of bones above bends so that the
-    /// joint comes there
+    /// Joints with a handle `ID/reach`, to which the joint comes as the chain of bones above it bends
     #[param(default = Reach::Ends, group = "Reaching", invalidates_preparation)]
     reach: Reach,
-    /// Most bones of a chain that reaches, two for an arm or a leg, so that a hand does not turn the body; 0
-    /// for all up to the root, or up to where the skeleton branches
+    /// Number of bones of a chain that reaches, at most: 2 for an arm or a leg; 0 for all up to a branch or
+    /// the root
+    ///
+    /// With two, a hand does not turn the body.
     #[param(default = 2, hard = 0..=1000, soft = 0..=8, group = "Reaching")]
     reach_length: i64,
 }
@@ -95,26 +97,30 @@ enum Reach {
     None,
 }
 
-/// What the weights are by.
+/// Settings of the weights.
 #[derive(ParamSet)]
 struct Weights {
-    /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next,
-    /// or by distances through the inside, with `falloff` and `smoothing`
+    /// Weights where no file has them: the smoothest from bone to bone, or by distances through the inside
+    ///
+    /// Those by distances have `falloff` and `smoothing`.
     #[param(default = Binding::Biharmonic, group = "Weights", invalidates_preparation)]
     binding: Binding,
-    /// Most joints that a place follows; 0 for four where weights are found, and for all that a file has
+    /// Number of joints that a place follows, at most; 0 for four, or for all that a file has
     #[param(default = 0, hard = 0..=64, soft = 0..=8, group = "Weights", invalidates_preparation)]
     influences: i64,
-    /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and
-    /// more for joints that bend within little more than their width; of geodesic binding
+    /// Power of the distance by which a bone's influence falls, for geodesic: 2 for soft limbs, 8 for tight
+    /// joints
+    ///
+    /// Joints are tight that bend within little more than their width.
     #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
     falloff: f64,
-    /// Over which length creases in the distances from bones are rounded off; of geodesic binding
+    /// Length over which creases in the distances from bones are rounded off, for geodesic binding
     #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
     #[param(invalidates_preparation)]
     smoothing: f64,
-    /// Voxels along the longest side of the model, in which weights are found; limbs that are less than two
-    /// of them apart are taken for one
+    /// Number of voxels along the longest side of the model; limbs less than two of them apart count as one
+    ///
+    /// Weights are found in the voxels.
     #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
     resolution: i64,
 }
@@ -152,9 +158,9 @@ enum Source {
 
 /// The fit of a file's weights to a place.
 struct Told {
-    /// How far the nearest place is that a file has.
+    /// Distance to the nearest place that a file has.
     far: f64,
-    /// How much of its weights is left out.
+    /// Part of its weights that is left out.
     lost: f64,
 }
 
@@ -196,7 +202,7 @@ fn skeleton(input: &PrepareInput<'_>) -> PluginResult<Skeleton> {
     }
 }
 
-/// From the coordinates of a file to local ones.
+/// Map from the coordinates of a file to local ones.
 fn to_local(input: &PrepareInput<'_>, param: &str) -> PluginResult<impl Fn(DVec3) -> DVec3> {
     let frame = frame(input, param)?;
     Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
@@ -218,8 +224,8 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
     Ok(pose::Handles::new(skeleton, which))
 }
 
-/// Says how many samples lose weights, as they follow so many joints at most, and how many are far from all
-/// places of a table.
+/// Warns of samples that lose weights, as they follow a limited number of joints, and of samples that are far
+/// from all places of a table.
 ///
 /// # Errors
 /// All samples are far.
@@ -304,17 +310,17 @@ impl Deformer for Skinning {
             )
             .param(
                 ParamDesc::file("weights", "Weights", &["txt", "csv", "dat", "dmat"])
-                    .hint("A table `x y z` and a column for each joint, in the model's coordinates, or a DMAT; without it they are found")
+                    .hint("Table `x y z` and a column for each joint, in the model's coordinates, or a DMAT; without it they are found")
                     .group("Files"),
             )
             .param(
                 ParamDesc::file("places", "Places of weights", &["obj", "dmat"])
-                    .hint("Where the rows of a DMAT with weights are: an OBJ's vertices, or a DMAT with three columns")
+                    .hint("Places of the rows of a DMAT with weights: an OBJ's vertices, or a DMAT with three columns")
                     .group("Files"),
             )
             .param(
                 ParamDesc::file("pose", "Pose", &["txt", "csv", "dat", "dmat"])
-                    .hint("12 numbers for each bone and frame, which move bones instead of handles, each by itself")
+                    .hint("Motions of the bones instead of handles, each by itself: 12 numbers for each bone and frame")
                     .group("Files"),
             )
             .param_set::<Weights>()
@@ -429,8 +435,8 @@ impl Handles for Skinning {
 }
 
 impl Migrate for Skinning {
-    /// In the first version weights were geodesic: sessions that say how stay with these. In the second,
-    /// chains that reach went up to the root.
+    /// Migration of settings: in the first version weights were geodesic: sessions that say how stay with
+    /// these. In the second, chains that reach went up to the root.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(3)
     }
@@ -450,7 +456,7 @@ impl Migrate for Skinning {
 impl IsIdentity for Skinning {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
         let has = |id: &str| Ok::<bool, PluginError>(input.params().file(id)?.is_some());
-        // Weights are read even if nothing moves, so that what is wrong with them is told.
+        // Weights are read even if nothing moves, so that the user is told of errors in them.
         let is_still = !has("pose")? && !has("weights")?;
         Ok(is_still && input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
     }

@@ -1,11 +1,11 @@
-//! A pose: what the joints' handles do, and what the ends reach for.
+//! Poses of the joints: by their handles, and by the places that ends reach for.
 
 use crate::reach::{turned, turns};
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use simod_plugin_api::{Affine, Gizmo, HandleDesc, PluginError, PluginResult};
 
-/// What an id of a handle ends in that a joint reaches for.
+/// End of the id of a handle for which a joint reaches.
 pub const REACH: &str = "/reach";
 
 /// The joints that can reach for a place of their own.
@@ -13,13 +13,13 @@ pub const REACH: &str = "/reach";
 pub enum Reaching {
     /// Joints that no other hangs on.
     Ends,
-    /// All that hang on one.
+    /// All joints that hang on one.
     All,
-    /// None.
+    /// No joints.
     None,
 }
 
-/// The handles of a skeleton: its joints, and after them what they reach for.
+/// Handles of a skeleton: its joints, and after them the places that joints reach for.
 pub struct Handles {
     /// The joints that reach.
     reaching: Vec<usize>,
@@ -37,7 +37,7 @@ impl Handles {
         Self { reaching: joints.filter(|(_, j)| reaches(j)).map(|(i, _)| i).collect() }
     }
 
-    /// As the host knows them.
+    /// Handles as the host knows them.
     pub fn describe(&self, skeleton: &Skeleton) -> Vec<HandleDesc> {
         let mut handles: Vec<HandleDesc> = Vec::new();
         for joint in &skeleton.joints {
@@ -56,7 +56,7 @@ impl Handles {
         handles
     }
 
-    /// How each joint's bones move: as the handles say, and then, one after the other, so that ends come to
+    /// Motion of each joint's bones: as the handles say, and then, one after the other, so that ends come to
     /// where they are wanted. A chain is of `length` bones at most, and ends below a joint that several hang
     /// on.
     ///
@@ -74,7 +74,8 @@ impl Handles {
             return Err(PluginError::internal(message));
         }
         let given: Vec<DAffine3> = motions.iter().map(affine).collect();
-        // Handles include what they hang on. An end has no bone, and goes along with the one above.
+        // The motion of a handle includes that of the handle above. An end has no bone, and goes along with
+        // the bone above.
         let mut posed: Vec<DAffine3> = given[..count].to_vec();
         let mut wanted: Vec<(usize, DVec3)> = Vec::new();
         for (i, joint) in skeleton.joints.iter().enumerate() {
@@ -85,7 +86,7 @@ impl Handles {
                 }
             }
         }
-        // What is wanted wherever the skeleton is comes after what is wanted of the posed one, and in its
+        // Places that an end's own handle asks for come after those of the posed skeleton, and in their
         // stead.
         for (joint, motion) in self.reaching.iter().zip(&given[count..]) {
             if *motion != DAffine3::IDENTITY {
@@ -106,7 +107,7 @@ fn chain(skeleton: &Skeleton, end: usize, length: Option<usize>) -> Vec<usize> {
     let mut chain = vec![end];
     let mut next = skeleton.joints[end].parent;
     while let Some(joint) = next {
-        // What hangs on a branch by itself turns it; others leave it to what else hangs there.
+        // An end that hangs on a branch directly turns the branch; longer chains end below it.
         let is_alone = chain.len() == 1;
         if (branches(joint) && !is_alone) || length.is_some_and(|most| chain.len() > most) {
             break;
@@ -118,7 +119,7 @@ fn chain(skeleton: &Skeleton, end: usize, length: Option<usize>) -> Vec<usize> {
     chain
 }
 
-/// Bends a chain so that its end comes to the target, and takes along what hangs on it.
+/// Bends a chain so that its end comes to the target, and takes along the bones that hang on it.
 fn reach(skeleton: &Skeleton, posed: &mut [DAffine3], end: usize, target: DVec3, length: Option<usize>) {
     let chain = chain(skeleton, end, length);
     let joints: Vec<DVec3> =

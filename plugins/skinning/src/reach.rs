@@ -2,15 +2,15 @@
 //!
 //! A. Aristidou, J. Lasenby, *FABRIK: a fast, iterative solver for the inverse kinematics problem*, Graphical
 //! Models 73, 2011: its joints are drawn to the target and back to where the chain begins, in turns, with
-//! their distances kept. What is left is closed exactly: the chain is bent at one of its joints until its end
-//! is as far from its beginning as the target, and then turned there; a chain that is all but straight may
-//! stay away by 1e-8 of its length. Where no single joint can do that (a long bone that almost cannot fold
-//! back far enough), the chain is laid along the sides of a triangle first. Where the target is too far, the
-//! chain is stretched straight towards it.
+//! their distances kept. The rest of the way is closed exactly: the chain is bent at one of its joints until
+//! its end is as far from its beginning as the target, and then turned there; a chain that is all but
+//! straight may stay away by 1e-8 of its length. Where no single joint can do that (a long bone that almost
+//! cannot fold back far enough), the chain is laid along the sides of a triangle first. Where the target is
+//! too far, the chain is stretched straight towards it.
 
 use glam::{DQuat, DVec3};
 
-/// There and back so many times at most; the rest is closed exactly.
+/// Largest number of passes to the target and back; the rest is closed exactly.
 const TIMES: usize = 300;
 /// An end that is so near to its target, as a part of the chain's length, needs no more.
 const NEAR: f64 = 1e-12;
@@ -18,8 +18,8 @@ const NEAR: f64 = 1e-12;
 /// bend.
 const STRAIGHT: f64 = 1e-4;
 
-/// How each bone turns, about its upper end, so that the last one's lower end comes to `target`: from a
-/// chain's joints, its beginning first. Nothing turns if the end is there already, but for rounding.
+/// Turn of each bone about its upper end, so that the last one's lower end comes to `target`: from a chain's
+/// joints, its beginning first. Nothing turns if the end is there already, but for rounding.
 pub fn turns(joints: &[DVec3], target: DVec3) -> Vec<DQuat> {
     let still = vec![DQuat::IDENTITY; joints.len().saturating_sub(1)];
     let (Some(&base), Some(&end)) = (joints.first(), joints.last()) else { return still };
@@ -49,7 +49,7 @@ pub fn turns(joints: &[DVec3], target: DVec3) -> Vec<DQuat> {
     turns
 }
 
-/// There and back once.
+/// Draws the chain to the target and back, once.
 fn draw(joints: &mut [DVec3], lengths: &[f64], base: DVec3, target: DVec3) {
     let last = lengths.len();
     let at = |from: DVec3, to: DVec3, length: f64| from + (to - from).normalize_or_zero() * length;
@@ -76,7 +76,7 @@ fn push_aside(joints: &mut [DVec3], target: DVec3, total: f64) {
     joints[1..inner].iter_mut().for_each(|p| *p += aside);
 }
 
-/// How bones turn from `from` to `to`: each first along with the one above, and then on the shortest way.
+/// Turns of bones from `from` to `to`: each first along with the bone above, and then on the shortest way.
 fn follow(from: &[DVec3], to: &[DVec3]) -> Vec<DQuat> {
     let mut turn = DQuat::IDENTITY;
     let bones = from.windows(2).zip(to.windows(2));
@@ -95,7 +95,7 @@ fn shortest(from: DVec3, to: DVec3) -> DQuat {
     }
 }
 
-/// Where the joints of a chain go when its bones turn.
+/// Positions of a chain's joints when its bones turn.
 pub fn turned(joints: &[DVec3], turns: &[DQuat]) -> Vec<DVec3> {
     let mut moved = vec![joints[0]];
     for (bone, turn) in joints.windows(2).zip(turns) {
@@ -151,7 +151,7 @@ fn bend(below: &mut [DQuat], joints: &[DVec3], k: usize, far: f64) {
     below.iter_mut().for_each(|t| *t = bend * *t);
 }
 
-/// The unit normal of the plane of two directions; any that is normal to the first if they are parallel.
+/// Unit normal of the plane of two directions; any that is normal to the first if they are parallel.
 fn plane_normal(upper: DVec3, lower: DVec3) -> DVec3 {
     upper
         .cross(lower)
@@ -179,7 +179,7 @@ fn along_a_triangle(joints: &[DVec3], target: DVec3) -> Vec<DVec3> {
     let before = |k: usize| lengths[..k].iter().sum::<f64>();
     let uneven = |k: &usize| (2.0 * before(*k) - whole).abs();
     let middle = (1..lengths.len()).min_by(|a, b| uneven(a).total_cmp(&uneven(b))).unwrap_or(1);
-    // How many bones lead away from the target, and the joint at the triangle's far corner.
+    // Number of bones that lead away from the target, and the joint at the triangle's far corner.
     let (away, corner) = if uneven(&middle) <= far {
         (0, middle)
     } else {

@@ -9,8 +9,8 @@ use glam::DVec3;
 use simod_plugin_api::{Joint as GivenJoint, PluginError, PluginResult};
 use std::path::Path;
 
-/// Each joint's distances are found by themselves, so that more would take long. They are numbered in 16
-/// bits.
+/// Largest number of joints, which are numbered in 16 bits. Each joint's distances are found by themselves,
+/// so that more would take long.
 const MOST_JOINTS: usize = 1 << 12;
 /// Bones below this part of the skeleton's size have no direction.
 const SHORTEST: f64 = 1e-9;
@@ -28,7 +28,7 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// Whether it is the lower end of a bone, and the upper one of none.
+    /// Whether the joint is the lower end of a bone, and the upper one of none.
     pub fn is_end(&self) -> bool {
         self.children.is_empty() && self.parent.is_some()
     }
@@ -122,7 +122,7 @@ impl Skeleton {
         (0..self.joints.len()).flat_map(|joint| self.bones(joint)).collect()
     }
 
-    /// How many bones there are, with joints that are all by themselves.
+    /// Number of bones, with joints that are all by themselves.
     pub fn bone_count(&self) -> usize {
         self.bones.len()
     }
@@ -133,8 +133,8 @@ impl Skeleton {
         self.joints[lower].parent.unwrap_or(lower)
     }
 
-    /// Each bone by itself, with two joints of its own, upper and lower, or one. The upper one has the id of
-    /// the joint that it is of, and behind it that of the lower one where several bones hang there:
+    /// Skeleton of single bones, each with two joints of its own, upper and lower, or one. The upper one has
+    /// the id of the joint that it is of, and behind it that of the lower one where several bones hang there:
     /// `hip/knee`.
     #[must_use]
     pub fn taken_apart(&self) -> Self {
@@ -167,10 +167,10 @@ impl Skeleton {
         self.joints.iter().position(|j| j.id == id)
     }
 
-    /// The skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a
-    /// name and three coordinates for each joint, a line `#`, and a line with two names for each bone, the
-    /// upper joint first. Further numbers of a joint are passed over, and so are edges that say that they are
-    /// no bone (three more numbers, of which the first is 0), and what comes after a second `#`.
+    /// Skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a name
+    /// and three coordinates for each joint, a line `#`, and a line with two names for each bone, the upper
+    /// joint first. Further numbers of a joint are passed over, and so are edges that say that they are no
+    /// bone (three more numbers, of which the first is 0), and all lines after a second `#`.
     ///
     /// # Errors
     /// Errors name the line.
@@ -204,7 +204,7 @@ type Placed = (String, DVec3, Option<usize>);
 /// Joints, and the lower ones of bones.
 type Parsed = (Vec<Placed>, Vec<usize>);
 
-/// The place of a joint that comes after others; or what is wrong with it.
+/// Place of a joint that comes after others; or an error text that says what is wrong with the joint.
 fn next_joint(id: &str, place: [&str; 3], before: &[(&str, DVec3)]) -> Result<DVec3, String> {
     let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());
     let [Some(x), Some(y), Some(z)] = place.map(number) else {
@@ -219,7 +219,7 @@ fn next_joint(id: &str, place: [&str; 3], before: &[(&str, DVec3)]) -> Result<DV
     Ok(DVec3::new(x, y, z))
 }
 
-/// The joints in a file, and the lower ones of its bones; or the line, and what is wrong there.
+/// Joints in a file, and the lower ones of its bones; or the line of an error, and its text.
 fn parse(text: &str) -> Result<Parsed, Wrong> {
     let mut points: Vec<(&str, DVec3)> = Vec::new();
     let mut parents: Vec<Option<usize>> = Vec::new();

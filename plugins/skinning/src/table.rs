@@ -1,4 +1,4 @@
-//! Weights from a file: a table of places with what each of them follows.
+//! Weights from a file: a table of places with the joints that each of them follows.
 
 use crate::dmat::{Matrix, Wrong};
 use crate::influences::{Influences, limited};
@@ -22,28 +22,28 @@ const SAME: f64 = 1e-7;
 const MOST_WEIGHTS: usize = 1 << 26;
 /// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
 const ROUND_OFF: f64 = 0.01;
-/// The weights of a row may sum to so much more or less than 1 without a word.
+/// Largest difference of the sum of a row's weights from 1 without a warning.
 const OFF: f64 = 0.01;
-/// Joints that are told by their ids.
+/// Number of joints that a warning names.
 const IDS: usize = 5;
 
-/// Places and what they follow.
+/// Table of places and the joints that they follow.
 pub struct WeightTable {
     rows: Rows,
     tree: ImmutableKdTree<f64, 3>,
-    /// Rows at most so far away are at the place itself.
+    /// Largest distance from a row's place at which a place counts as the row's.
     same: f64,
 }
 
-/// What places follow, one after the other, as parts of 1.
+/// Rows of the table: each place with the joints that it follows, one after the other, as parts of 1.
 #[derive(Default)]
 struct Rows {
     places: Vec<DVec3>,
     ends: Vec<usize>,
     weights: Vec<(f64, u16)>,
-    /// How many do not sum to 1.
+    /// Number of rows that do not sum to 1.
     off: usize,
-    /// The one of these that is farthest from it: its number from 0 on, its line if that is known, and its
+    /// Row among these whose sum is farthest from 1: its number from 0 on, its line if that is known, and the
     /// sum.
     farthest: Option<(usize, Option<usize>, f64)>,
     /// Ids of joints with bones, of which there is no column.
@@ -101,7 +101,7 @@ impl WeightTable {
         Ok(table)
     }
 
-    /// What the user may not want, of the table in this file.
+    /// Warnings about the table in this file.
     pub fn doubts(&self, path: &Path) -> Vec<String> {
         let Rows { places, off, farthest, without, .. } = &self.rows;
         let mut doubts = Vec::new();
@@ -142,8 +142,9 @@ impl WeightTable {
         Ok(Self { rows, tree, same: SAME * size.length() })
     }
 
-    /// What a place follows, all of it: a row's where it is in that place, and otherwise those of the four
-    /// nearest, the nearer ones more. Gives how far the nearest is.
+    /// Weights of the joints that a place follows, all of them: a row's where the place is the row's, and
+    /// otherwise those of the four nearest rows, the nearer ones more. Returns the distance to the nearest
+    /// row's place.
     ///
     /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part
     /// falls to nothing at the distance of the fifth, so that none jumps where another takes its place.
@@ -362,7 +363,7 @@ fn header<'a>(
     if columns.is_empty() { Err("has no columns of joints".to_owned()) } else { Ok(columns) }
 }
 
-/// A place and what it follows.
+/// Place, and the weights of the joints that it follows.
 fn row<'a>(
     words: impl Iterator<Item = &'a str>,
     columns: &[(String, usize)],

@@ -2,11 +2,11 @@
 //! or points alone.
 //!
 //! The surface's voxels are those that triangles pass through; where a sample is in no triangle, those
-//! between it and its nearest neighbours are taken. Inside is what cannot be reached from without over the
-//! faces of voxels; and, as there may be holes, also that from where nearly all lines of sight end at the
-//! surface (ray stabbing: F. S. Nooruddin, G. Turk, *Simplification and repair of polygonal models using
-//! volumetric techniques*, IEEE TVCG 9, 2003). So a vessel's hollow is inside too. An open surface, as one
-//! side of a relief, encloses nothing: there what lies between it and the bones counts as inside.
+//! between it and its nearest neighbours are taken. Inside are voxels that cannot be reached from without
+//! over the faces of voxels; and, as there may be holes, also those from where nearly all lines of sight end
+//! at the surface (ray stabbing: F. S. Nooruddin, G. Turk, *Simplification and repair of polygonal models
+//! using volumetric techniques*, IEEE TVCG 9, 2003). So a vessel's hollow is inside too. An open surface, as
+//! one side of a relief, encloses nothing: there the voxels between it and the bones count as inside.
 
 use crate::grid::Grid;
 use crate::skeleton::on_segment;
@@ -16,13 +16,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// No voxel.
 pub const NONE: u32 = u32::MAX;
-/// Most voxels of a model.
+/// Largest number of voxels of a model.
 const MOST: usize = 1 << 22;
 /// Points along an edge of a triangle, for each cell.
 const FINENESS: f64 = 2.5;
-/// Of the 26 lines of sight, so many end at the surface where a cell is inside.
+/// Number of the 26 lines of sight that end at the surface where a cell is inside, at least.
 const STABBED: u32 = 21;
-/// A surface encloses something if there is at least one voxel inside for so many of its own.
+/// Number of the surface's voxels for which there is at least one inside, if the surface encloses something.
 const ENCLOSING: usize = 8;
 /// Nearest neighbours with which a sample without triangles spans some.
 const FAN: usize = 6;
@@ -53,17 +53,17 @@ pub struct Voxels {
     pub grid: Grid,
     /// For each cell its voxel, numbered in the order of cells, or [`NONE`].
     ids: Vec<u32>,
-    /// The middle of each voxel's cell is that of this cell.
+    /// Cell of each voxel.
     pub cells: Vec<u32>,
     /// The neighbours over the faces, in pairs along the axes, or [`NONE`].
     pub neighbours: Vec<[u32; 6]>,
-    /// Whether there is anything inside of the surface.
+    /// Whether anything is inside of the surface.
     pub encloses: bool,
 }
 
 impl Voxels {
-    /// The voxels of samples with their triangles, or neighbours; and of what is between them and the bones,
-    /// if the surface encloses nothing.
+    /// Voxels of samples with their triangles, or neighbours; and of the space between them and the bones, if
+    /// the surface encloses nothing.
     ///
     /// # Errors
     /// The voxels are too many; a sample is not finite.
@@ -125,7 +125,7 @@ impl Voxels {
         self.grid.centre(self.grid.cell_of(self.cells[voxel as usize] as usize))
     }
 
-    /// The neighbours over edges and corners that are voxels, and how far they are, in cells.
+    /// Neighbours over edges and corners that are voxels, and their distances, in cells.
     pub fn diagonal(&self, voxel: u32) -> impl Iterator<Item = (u32, f32)> + '_ {
         let cell = self.cells[voxel as usize] as isize;
         let both = LATER.iter().flat_map(|by| [*by, by.map(|x| -x)]);
@@ -213,7 +213,7 @@ fn cover([a, b, c]: [DVec3; 3], grid: &Grid, mark: impl Fn(DVec3)) {
 /// The cells inside of a surface.
 fn inside(grid: &Grid, is_surface: &[bool], host: &Host<'_>) -> PluginResult<Vec<bool>> {
     let mut is_inside = stabbed(grid, is_surface, host)?;
-    // What cannot be reached from without.
+    // Cells that can be reached from without; those that cannot are inside.
     let mut is_outside = vec![false; grid.len()];
     let mut open = vec![0_usize];
     is_outside[0] = true;

@@ -1,4 +1,4 @@
-//! How far samples are from a region: through space, or along the surface.
+//! Distances of samples from a region: through space, or along the surface.
 
 use glam::Vec3;
 use rstar::RTree;
@@ -6,16 +6,17 @@ use simod_plugin_api::{Graph, Host, PluginResult};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Samples that are looked after at once on one thread.
+/// Number of samples that are looked after at once on one thread.
 const BLOCK: usize = 4096;
 
-/// Normals of neighbours that are less alike than this cosine are those of two sides of a thin wall.
+/// Cosine between normals of neighbours below which they are on two sides of a thin wall.
 const AWAY: f32 = -0.5;
 
 /// The distance of each sample to the nearest of `core`, in space.
 pub fn in_space(positions: &[Vec3], core: &[u32], host: &Host<'_>) -> PluginResult<Vec<f32>> {
     let points: Vec<[f32; 3]> = core.iter().map(|&i| positions[i as usize].to_array()).collect();
-    // Boxes that fit tightly: most samples are far from a region, where a k-d tree would look at most of it.
+    // Boxes fit tightly: most samples are far from a region, where a search in a k-d tree would visit most
+    // of the tree.
     let tree = RTree::bulk_load(points);
     let mut distances = vec![0.0; positions.len()];
     host.parallel_blocks(&mut distances, BLOCK, |first, block| {
@@ -30,8 +31,8 @@ pub fn in_space(positions: &[Vec3], core: &[u32], host: &Host<'_>) -> PluginResu
 /// The distance of each sample to the nearest of `core` along the surface; infinite where none is reached.
 ///
 /// E. W. Dijkstra, A note on two problems in connexion with graphs, 1959, on the graph of the samples'
-/// neighbours, without those of the other side of a thin wall. With as many neighbours as it has, ways are a
-/// few per cent too long.
+/// neighbours, without those of the other side of a thin wall. With as many neighbours as the graph has,
+/// ways are a few per cent too long.
 pub fn on_surface(
     positions: &[Vec3],
     normals: &[Vec3],
@@ -41,7 +42,7 @@ pub fn on_surface(
 ) -> PluginResult<Vec<f32>> {
     const BETWEEN_LOOKS: usize = 1024;
     let mut distances = vec![f32::INFINITY; positions.len()];
-    // Lengths of no sign are in the order of their bits.
+    // Lengths are not negative, so they are in the order of their bits.
     let entry = |length: f32, i: u32| Reverse(u64::from(length.to_bits()) << 32 | u64::from(i));
     let mut open: BinaryHeap<_> = core.iter().map(|&i| entry(0.0, i)).collect();
     core.iter().for_each(|&i| distances[i as usize] = 0.0);

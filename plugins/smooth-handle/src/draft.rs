@@ -1,15 +1,16 @@
-//! Drafts of one handle that moves, in single precision: a hand mostly drags one, and wants one picture after
-//! the other.
+//! Drafts of one handle that moves, in single precision: a hand mostly drags one handle, and wants one
+//! picture after the other.
 
 use crate::influence::{HandleShares, Profile};
 use crate::motion::{HandleMotion, blend};
 use glam::{DVec3, Vec3, Vec3A};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Samples that are looked after at once on one thread.
+/// Number of samples that are looked after at once on one thread.
 const BLOCK: usize = 4096;
 
-/// How much of a handle's motion each sample makes: kept from draft to draft, as the motion has no say in it.
+/// Part of a handle's motion that each sample makes: kept from draft to draft, as it does not depend on the
+/// motion.
 ///
 /// Memory: 4 bytes for each sample.
 #[derive(Default)]
@@ -18,7 +19,7 @@ pub struct Amounts {
     values: Vec<f32>,
 }
 
-/// The key of amounts: a preparation, by its number, one of its handles, and a profile.
+/// Key of amounts: a preparation, by its number, one of its handles, and a profile.
 #[derive(PartialEq)]
 struct Of {
     state: u64,
@@ -27,7 +28,7 @@ struct Of {
 }
 
 impl Amounts {
-    /// The amounts of a handle, of which `shares`, the preparation of this number, tells the samples' shares.
+    /// Amounts of a handle, computed from `shares`, the samples' shares of the preparation of this number.
     pub fn of_handle(
         &mut self,
         (shares, state): (&HandleShares, u64),
@@ -37,7 +38,7 @@ impl Amounts {
     ) -> PluginResult<&[f32]> {
         let of = Some(Of { state, handle, profile: profile.key() });
         if self.of != of {
-            // What is not finished is of nothing.
+            // Amounts that are not finished must have no key.
             self.of = None;
             self.values.clear();
             self.values.resize(shares.samples(), 0.0);
@@ -54,16 +55,16 @@ impl Amounts {
     }
 }
 
-/// Parts of one motion: what lies between two of them is taken from a straight line.
+/// Table of parts of one motion: parts between two of them are interpolated on a straight line.
 pub struct PartsTable<'a> {
     motion: &'a HandleMotion,
-    /// What each part adds to the unit vectors, and to the origin.
+    /// Displacement by each part, as an affine map: three columns, and the origin's displacement.
     parts: Vec<[Vec3A; 4]>,
 }
 
 impl<'a> PartsTable<'a> {
-    /// So many parts: within a half turn, the line between two leaves the screw by about a millionth of the
-    /// distance from its axis.
+    /// Number of parts: within a half turn, the line between two leaves the screw by about a millionth of
+    /// the distance from its axis.
     const STEPS: usize = 1024;
 
     /// The table of a motion.
@@ -78,7 +79,7 @@ impl<'a> PartsTable<'a> {
         Self { motion, parts: (0..=Self::STEPS).map(part).collect() }
     }
 
-    /// Writes where such parts of the motion take the samples.
+    /// Moves the samples by such parts of the motion.
     pub fn apply(&self, amounts: &[f32], rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
         for ((out, p), t) in out.iter_mut().zip(rest).zip(amounts) {
             *out = self.image(*t, *p);
@@ -88,7 +89,7 @@ impl<'a> PartsTable<'a> {
     #[inline]
     fn image(&self, t: f32, p: [f32; 3]) -> [f32; 3] {
         if t == 0.0 {
-            // Exactly where it was.
+            // A sample that makes none of the motion stays exactly in its place.
             return p;
         }
         if t > 0.0 && t < 1.0 {

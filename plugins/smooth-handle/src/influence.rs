@@ -1,37 +1,37 @@
-//! How much of each handle's motion each sample makes.
+//! The part of each handle's motion that each sample makes.
 //!
-//! Between what is fixed, at distance d₀, and one handle, at d₁, the paper's parameter is t = d₀ / (d₀ + d₁):
-//! the share of 1/d₁ in 1/d₀ + 1/d₁. So it is said for any number of handles: the share of each in the sum of
-//! the reciprocals. A scale function makes of it how much moves, and is flat at both ends, so that no border
-//! shows.
+//! Between the fixed region, at distance d₀, and one handle, at d₁, the paper's parameter is t = d₀ / (d₀ +
+//! d₁): the share of 1/d₁ in 1/d₀ + 1/d₁. In this form it holds for any number of handles: the share of
+//! each in the sum of the reciprocals. A scale function makes the part of the motion of it, and is flat at
+//! both ends, so that no border shows.
 
 use crate::distance;
 use crate::regions::MergedRegions;
 use glam::{DMat2, DVec2, Vec3};
 use simod_plugin_api::{Curve, Graph, Host, ParamDesc, Params, PluginError, PluginResult};
 
-/// Samples that are looked after at once on one thread.
+/// Number of samples that are looked after at once on one thread.
 const BLOCK: usize = 4096;
-/// Neighbours over which shares are smoothed.
+/// Number of neighbours over which shares are smoothed.
 const RING: usize = 12;
-/// The number of passes of smoothing, at most.
+/// Greatest number of passes of smoothing.
 const MOST_PASSES: f64 = 300.0;
-/// How much of the neighbours' mean is taken in a pass.
+/// Part of the neighbours' mean that is taken in a pass.
 const PART: f64 = 0.5;
 /// Part of the preparation's progress that the distances have.
 const DISTANCES: f64 = 0.5;
 
-/// The shares of what is fixed and of all handles, sample by sample: they sum up to 1.
+/// Shares of the fixed regions and of all handles, sample by sample: they sum up to 1.
 pub struct HandleShares {
-    /// Shares of what is fixed first, and then those of the handles.
+    /// Share of the fixed regions first, and then those of the handles, sample by sample.
     values: Vec<f32>,
-    /// What is fixed, and handles.
+    /// Number of columns: one for the fixed regions, and one for each handle.
     columns: usize,
 }
 
-/// The samples and what is known of them.
+/// Samples at rest with their normals and neighbours.
 pub struct SurfaceAtRest<'a> {
-    /// Local coordinates.
+    /// Positions in local coordinates.
     pub positions: &'a [Vec3],
     /// Unit normals.
     pub normals: &'a [Vec3],
@@ -39,13 +39,13 @@ pub struct SurfaceAtRest<'a> {
     pub graph: &'a Graph<'a>,
 }
 
-/// The rule by which shares come about.
+/// Rule by which shares are computed.
 pub struct ShareRule {
-    /// Along the surface, not through space.
+    /// Whether distances are along the surface, not through space.
     pub on_surface: bool,
-    /// Where nothing is fixed: how far handles reach, local coordinates.
+    /// Reach of handles where nothing is fixed, in local coordinates.
     pub reach: f64,
-    /// Over what length shares are smoothed, local coordinates.
+    /// Length over which shares are smoothed, in local coordinates.
     pub smoothing: f64,
 }
 
@@ -81,7 +81,7 @@ impl HandleShares {
             }
         })?;
         let mut shares = Self { values, columns };
-        // Regions hold their share, and so does what handles do not reach.
+        // Samples of regions keep their shares, and so do those that no handle reaches.
         let mut held: Vec<bool> = (0..positions.len()).map(|i| shares.row(i)[0] == 1.0).collect();
         regions.parts.iter().flat_map(|p| &p.core).for_each(|&i| held[i as usize] = true);
         shares.smooth(&held, samples, measure.smoothing, host)?;
@@ -101,7 +101,7 @@ impl HandleShares {
         Ok(shares)
     }
 
-    /// The shares of a sample: of what is fixed first, and then of the handles.
+    /// Shares of a sample: of the fixed regions first, and then of the handles.
     pub fn row(&self, i: usize) -> &[f32] {
         &self.values[i * self.columns..][..self.columns]
     }
@@ -116,7 +116,7 @@ impl HandleShares {
         self.values.len() / self.columns
     }
 
-    /// Smooths shares along the surface: distances have ridges, and those to samples have dents.
+    /// Smooths shares along the surface: distances have ridges, and distances to samples have dents.
     fn smooth(
         &mut self,
         held: &[bool],
@@ -167,19 +167,20 @@ impl HandleShares {
 struct Ring {
     samples: [u32; RING],
     weights: [f32; RING],
-    /// Mean of their squared distances.
+    /// Mean of the neighbours' squared distances.
     square: f32,
 }
 
 impl Ring {
-    /// The neighbours' weighted mean is the sample itself, as far as positive weights can do that: what grows
-    /// evenly is left as it is, though samples lie unevenly. Of all such weights these are the most alike.
+    /// Ring of a sample, whose weighted mean is the sample itself, as far as positive weights can do that:
+    /// a value that grows evenly is left as it is, though samples lie unevenly. Of all such weights these
+    /// are the most alike.
     ///
     /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65
     /// (2006).
     fn around(of: &SurfaceAtRest<'_>, i: usize) -> Self {
         const NEWTON: usize = 8;
-        /// Weights differ by no more than the exponential of twice this.
+        /// Greatest steepness: weights differ by no more than the exponential of twice this.
         const STEEPEST: f64 = 4.0;
         let p = of.positions[i];
         let same_side = |j: &&u32| of.normals[i].dot(of.normals[**j as usize]) > -0.5;
@@ -214,17 +215,17 @@ impl Ring {
     }
 }
 
-/// The shares of the reciprocals of distances in their sum.
+/// Shares of the reciprocals of distances in their sum.
 fn reciprocals(distance: impl Fn(usize) -> f32, shares: &mut [f32]) {
     shares.fill(0.0);
     if let Some(there) = (0..shares.len()).find(|&r| distance(r) <= 0.0) {
         shares[there] = 1.0;
         return;
     }
-    // Relative to the nearest, so that nothing overflows.
+    // Reciprocals are relative to the nearest distance, so that nothing overflows.
     let nearest = (0..shares.len()).map(&distance).fold(f32::INFINITY, f32::min);
     if nearest == f32::INFINITY {
-        // Nothing can be reached from here.
+        // No region can be reached from here.
         shares[0] = 1.0;
         return;
     }
@@ -246,32 +247,33 @@ fn soften(weight: impl Fn(usize) -> f32, first: usize, shares: &mut [f32]) {
     }
 }
 
-/// What becomes of a share.
+/// Function by which shares become parts of motions.
 pub enum Profile<'a> {
-    /// As it is.
+    /// The share itself.
     Linear,
     /// 3t² - 2t³: no border shows.
     Smooth,
     /// 6t⁵ - 15t⁴ + 10t³: not even in reflections.
     Smoother,
-    /// Drawn by the user.
+    /// A curve that the user draws.
     Curve(Curve<'a>),
 }
 
 impl<'a> Profile<'a> {
-    /// The parameters that it reads.
+    /// Parameters of the profile.
     pub fn params() -> [ParamDesc; 2] {
         let profiles =
             [("smooth", "Smooth"), ("smoother", "Smoother"), ("linear", "Linear"), ("curve", "Drawn")];
         [
             ParamDesc::choice("profile", "Profile", "smoother", &profiles)
-                .hint("How the motion grows from what is fixed to a handle"),
-            ParamDesc::curve("curve", "Curve", &[[0.0, 0.0], [1.0, 1.0]])
-                .hint("Of the profile `curve`: how much moves, from what is fixed to a handle"),
+                .hint("Growth of the motion from what is fixed to a handle"),
+            ParamDesc::curve("curve", "Curve", &[[0.0, 0.0], [1.0, 1.0]]).hint(
+                "Part of the motion from what is fixed (left) to a handle (right), for the drawn profile",
+            ),
         ]
     }
 
-    /// The one that is chosen.
+    /// Profile that the parameters choose.
     pub fn from_params(params: Params<'a>) -> PluginResult<Self> {
         match params.choice("profile")? {
             "smooth" => Ok(Self::Smooth),
@@ -282,7 +284,7 @@ impl<'a> Profile<'a> {
         }
     }
 
-    /// Tells it from others: its number, and the points of one that is drawn.
+    /// Key of the profile: its number, and the points of a drawn one.
     pub fn key(&self) -> (u8, Vec<[f64; 2]>) {
         match self {
             Self::Linear => (0, Vec::new()),
@@ -301,8 +303,8 @@ impl<'a> Profile<'a> {
         }
     }
 
-    /// How much of each handle's motion a sample of these shares makes: all together what the profile makes
-    /// of the part that is not fixed, each in proportion to what it makes of its own share.
+    /// Part of each handle's motion that a sample with these shares makes: together the profile of the part
+    /// that is not fixed, divided in proportion to the profile of each share.
     pub fn amounts(&self, shares: &[f32], amounts: &mut [f64]) {
         let handles = &shares[1..];
         if let Some(own) = shares.iter().position(|s| *s == 1.0) {

@@ -1,9 +1,9 @@
 //! Point-based free-form deformation with smooth handles: no mesh, and no system to solve.
 //!
 //! M. Pauly, R. Keiser, L. Kobbelt, M. Gross, *Shape modeling with point-sampled geometry*, SIGGRAPH 2003,
-//! §5: what is fixed is the zero-region, a handle the one-region. Each sample makes a part of the handle's
-//! motion, which a scale function gives from its distances to the two; parts of motions are those of a screw.
-//! The tool of most of the SIMOD paper's figures.
+//! §5: the fixed region is the zero-region, a handle the one-region. Each sample makes a part of the
+//! handle's motion, which a scale function gives from its distances to the two; parts of motions are those
+//! of a screw. The tool of most of the SIMOD paper's figures.
 
 mod distance;
 mod draft;
@@ -22,7 +22,7 @@ use simod_plugin_api::{
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
 
 /// The plugin.
@@ -30,13 +30,13 @@ struct SmoothHandle;
 
 #[derive(ParamSet)]
 struct SmoothHandleSettings {
-    /// How far samples are from regions: fingers that nearly touch are far along the surface
+    /// Distance of samples from regions; along the surface, fingers that nearly touch are far apart
     #[param(default = Distance::Euclidean, invalidates_preparation)]
     distance: Distance,
-    /// How far handles reach if nothing is fixed
+    /// Distance up to which handles reach, if nothing is fixed
     #[param(default = 0.25, unit = "diagonal", hard = 0.0.., soft = 0.0..=1.0, invalidates_preparation)]
     reach: f64,
-    /// Over what length the ridges are smoothed that distances have
+    /// Length over which ridges of the distances are smoothed; larger ones are rounder
     #[param(default = 0.02, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
 }
@@ -51,10 +51,10 @@ enum Distance {
 
 /// The share of each handle in each sample's motion.
 struct PreparedShares {
-    /// The number of the preparation, which tells it from others.
+    /// Number of the preparation, which tells it from others.
     number: u64,
     shares: HandleShares,
-    /// The handles' middles, about which they stretch.
+    /// Middles of the handles, about which they stretch.
     centers: Vec<DVec3>,
 }
 
@@ -145,7 +145,8 @@ impl Deformer for SmoothHandle {
                 let moves = |(motion, t): &(&HandleMotion, f64)| *t != 0.0 && !motion.is_none();
                 let mut parts = motions.iter().zip(amounts.iter().copied()).filter(moves);
                 let p64 = Vec3::from(*p).as_dvec3();
-                // Exactly where it was, or where its handle takes it.
+                // A sample stays exactly in its place, or goes exactly where its handle takes it, if it
+                // makes none or all of one motion.
                 *out = match parts.next() {
                     None => *p,
                     Some((motion, 1.0)) if amounts.iter().sum::<f64>() == 1.0 => {

@@ -11,13 +11,13 @@ use glam::{DMat3, DQuat, DVec3};
 use simod_geometry::symmetric_eigen;
 use simod_plugin_api::Affine;
 
-/// Stretches below this are rounding.
+/// Stretch below which it is rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// A handle's motion, of which parts can be taken.
 #[derive(Debug, Clone, Copy)]
 pub struct HandleMotion {
-    /// The whole of it.
+    /// The whole motion.
     whole: Affine,
     parts: PartialMotion,
 }
@@ -28,7 +28,7 @@ enum PartialMotion {
     None,
     /// A stretch, if there is one, and a similarity.
     Twist(Option<Stretch>, Twist),
-    /// Not continuously connected with no motion, as mirrors are: displacements are scaled.
+    /// Displacements are scaled, as the motion is not continuously connected with none, as mirrors are not.
     Straight,
 }
 
@@ -68,7 +68,7 @@ impl HandleMotion {
         if !(scale > 0.0 && scale.is_finite()) {
             return None;
         }
-        // Polar decomposition, of A / scale: its square root is that of the symmetric AᵀA.
+        // The polar decomposition is of A / scale: its stretch is the square root of the symmetric AᵀA.
         let shape = matrix * scale.recip();
         let (squares, axes) = symmetric_eigen(shape.transpose() * shape);
         if squares.min_element() <= f64::EPSILON * squares.max_element() {
@@ -83,7 +83,7 @@ impl HandleMotion {
         };
         let turn = DQuat::from_mat3(&unstretched).normalize();
         let turn = if turn.w < 0.0 { -turn } else { turn };
-        // The similarity has to do what is left where the stretch leaves things in place.
+        // The similarity has to make the rest of the map, as the stretch leaves the centre in place.
         let rigid = DMat3::from_quat(turn) * scale;
         let offset = match &stretch {
             Some(_) => matrix * center + offset - rigid * center,
@@ -95,18 +95,18 @@ impl HandleMotion {
         Some(PartialMotion::Twist(stretch, Twist { shift, ..twist })).filter(|_| shift.is_finite())
     }
 
-    /// Whether it moves nothing.
+    /// Whether the motion moves nothing.
     pub fn is_none(&self) -> bool {
         matches!(self.parts, PartialMotion::None)
     }
 
-    /// The image of a point under all of it.
+    /// Image of a point under the whole motion.
     pub fn all(&self, p: DVec3) -> DVec3 {
         self.whole.apply(p.into()).into()
     }
 }
 
-/// The image of a point under a part of each motion.
+/// Image of a point under a part of each motion.
 pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a HandleMotion, f64)>) -> DVec3 {
     let (mut stretched, mut straight, mut sum) = (p, DVec3::ZERO, Twist::default());
     for (motion, t) in parts {
@@ -144,7 +144,7 @@ impl Twist {
         self.growth.exp() * turned + self.integral().multiply(self.shift)
     }
 
-    /// What a velocity comes to while it turns and grows: ∫ exp(s (growth + turn ×)) ds from 0 to 1.
+    /// Integral of a velocity that turns and grows: ∫ exp(s (growth + turn ×)) ds from 0 to 1.
     fn integral(&self) -> Integral {
         let angle = self.turn.length();
         let axis = self.turn.try_normalize().unwrap_or(DVec3::ZERO);
@@ -193,7 +193,7 @@ pub(crate) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The map that is a matrix and an offset.
+    /// Affine map of a matrix and an offset.
     pub(crate) fn affine(matrix: DMat3, offset: DVec3) -> Affine {
         let m = matrix.transpose();
         let row = |v: DVec3, t: f64| [v.x, v.y, v.z, t];
@@ -224,9 +224,9 @@ pub(crate) mod tests {
                 let halves = part(&motion, 0.5, part(&motion, 0.5, p));
                 prop_assert!(halves.distance(whole) < 1e-9, "{halves} {whole}");
             }
-            // Continuous where it begins.
+            // The motion is continuous where it begins.
             prop_assert!(part(&motion, 1e-9, p).distance(p) < 1e-7);
-            // Two handles that do the same do it together.
+            // Two handles with the same motion make it together.
             let two = blend(p, [(&motion, 0.3), (&motion, 0.7)].into_iter());
             prop_assert!(!is_similarity || two.distance(whole) < 1e-9);
         }

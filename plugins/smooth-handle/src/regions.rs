@@ -1,4 +1,4 @@
-//! The samples that regions hold.
+//! The samples of regions.
 
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 
@@ -7,23 +7,23 @@ const INSIDE: f32 = 0.999;
 
 /// The fixed regions as one, and each handle.
 pub struct MergedRegions {
-    /// Where nothing moves, if that is anywhere, and then the handles in their order.
+    /// Fixed regions as one, if there are any, and then the handles in their order.
     pub parts: Vec<MergedRegion>,
-    /// Whether the first part is what is fixed.
+    /// Whether the first part is that of the fixed regions.
     pub has_fixed: bool,
 }
 
-/// One region, or all fixed ones.
+/// One handle, or all fixed regions.
 pub struct MergedRegion {
-    /// The samples in it, each in one part alone.
+    /// Samples in the region, each in one part alone.
     pub core: Vec<u32>,
     /// One weight for each sample, 0 to 1.
     pub weights: Vec<f32>,
 }
 
 impl MergedRegions {
-    /// The merged regions of a preparation. A sample in several belongs to the first fixed one, or else to
-    /// the first handle.
+    /// Merged regions of a preparation. A sample in several regions belongs to the first fixed one, or else
+    /// to the first handle.
     pub fn gather(input: &PrepareInput<'_>) -> PluginResult<Self> {
         let count = input.samples.positions().len();
         let regions = input.regions();

@@ -48,7 +48,7 @@ impl Setup {
         }
     }
 
-    /// A cylinder of radius 0.1 and height 1, held below y = 0.2, a handle above y = 0.8.
+    /// Cylinder of radius 0.1 and height 1, held below y = 0.2, with a handle above y = 0.8.
     fn bar(count: usize) -> Self {
         let mut setup = Self::new(cylinder(count, DVec3::ZERO));
         setup.region(Role::FIXED, |p| p.y < 0.2);
@@ -151,7 +151,7 @@ fn regions_do_exactly_as_told() {
     assert_eq!(setup.deform(&[Affine::IDENTITY]), setup.positions);
 }
 
-/// Whatever was drafted before with the same working memory.
+/// Drafts do not depend on former drafts with the same working memory.
 #[test]
 fn drafts_are_like_results() {
     let mut kept = Amounts::default();
@@ -170,7 +170,7 @@ fn drafts_are_like_results() {
             let draft = setup.deform_by(&state, &motions, Effort::DRAFT, &mut kept);
             for ((p, q), r) in setup.positions.iter().zip(&exact).zip(&draft) {
                 assert!(Vec3::from(*q).distance(Vec3::from(*r)) < 4e-6, "{profile}, {moved}: {q:?} {r:?}");
-                // What stays does so in both.
+                // Samples that stay do so in both.
                 assert_eq!(q == p, r == p, "{profile}, {moved}: {p:?} {q:?} {r:?}");
             }
         }

@@ -1,4 +1,4 @@
-//! Filters of what a surface is made of, wave by wave: polynomials of its Laplacian.
+//! Filters of a surface's waves: polynomials of its Laplacian.
 //!
 //! G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH 1995; G. Taubin, T. Zhang, G.
 //! Golub, *Optimal surface smoothing as filter design*, ECCV 1996, §4: Chebyshev polynomials, so that a
@@ -9,7 +9,7 @@ use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 use std::f64::consts::PI;
 
-/// Vertices at once on one thread.
+/// Number of vertices at once on one thread.
 const BLOCK: usize = 4096;
 /// Highest degree of a filter.
 pub const MOST: usize = 4000;
@@ -18,9 +18,9 @@ pub const MOST: usize = 4000;
 pub struct Filter(Vec<f64>);
 
 impl Filter {
-    /// The one that keeps waves of `k` below a cut-off and leaves none above: half of those at it, all from
-    /// half of its frequency down, none from one and a half up. An ideal filter, faded out by Hamming's
-    /// window.
+    /// Filter that keeps waves of `k` below a cut-off and leaves none above: half of the waves at the
+    /// cut-off, all from half of its frequency down, none from one and a half up. An ideal filter, faded
+    /// out by Hamming's window.
     pub fn low_pass(cut_off: f64) -> Self {
         let angle = (1.0 - cut_off).acos();
         // The width of the transition is 3.3 whole turns by twice the degree.
@@ -33,9 +33,10 @@ impl Filter {
         Self::normalized((0..=degree).map(coefficient).collect())
     }
 
-    /// The one that leaves e^(-time k) of a wave, as a flow by the Laplacian does.
+    /// Filter that leaves e^(-time k) of a wave, as a flow by the Laplacian does.
     pub fn flow(time: f64) -> Self {
-        // Beyond this degree there is less than rounding left (Taubin and others: like the root of the time).
+        // Coefficients beyond this degree are below rounding (Taubin and others: like the root of the
+        // time).
         let degree = ((12.0 * time.sqrt()).ceil() as usize + 12).min(MOST);
         let nodes = 2 * degree + 2;
         let at = |j: usize| PI * (j as f64 + 0.5) / nodes as f64;
@@ -47,13 +48,13 @@ impl Filter {
         Self::normalized((0..=degree).map(coefficient).collect())
     }
 
-    /// What is constant stays so: at k = 0 all polynomials are 1.
+    /// Scales the coefficients so that constants stay: at k = 0 all polynomials are 1.
     fn normalized(coefficients: Vec<f64>) -> Self {
         let sum: f64 = coefficients.iter().sum();
         Self(coefficients.into_iter().map(|c| c / sum).collect())
     }
 
-    /// How many products with the Laplacian it takes.
+    /// Number of products with the Laplacian that the filter takes.
     pub fn degree(&self) -> usize {
         self.0.len() - 1
     }
@@ -65,7 +66,7 @@ impl Filter {
         self.0.iter().enumerate().map(|(n, c)| c * (n as f64 * angle).cos()).sum()
     }
 
-    /// Positions without the waves that it takes away. `progress` is told of parts of the whole.
+    /// Positions without the waves that the filter takes away. `progress` is told of parts of the whole.
     pub fn apply(
         &self,
         laplacian: &MeshLaplacian,
@@ -76,7 +77,8 @@ impl Filter {
         if laplacian.scale == 0.0 {
             return Ok(positions.to_vec());
         }
-        // About the first one, so that little is lost to rounding where coordinates are large.
+        // Positions are relative to the first one, so that little is lost to rounding where coordinates are
+        // large.
         let origin = positions.first().copied().unwrap_or_default();
         let mut before: Vec<DVec3> = positions.iter().map(|p| *p - origin).collect();
         let mut sum: Vec<DVec3> = before.iter().map(|p| *p * self.0[0]).collect();

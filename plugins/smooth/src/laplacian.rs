@@ -1,26 +1,26 @@
-//! The Laplacian of a surface, by its triangles or by neighbours, as rows that add to nothing and have
+//! The Laplacian of a surface, by its triangles or by neighbours, as rows that sum to zero and have
 //! eigenvalues of 0 to 2.
 //!
 //! Cotangents and areas by M. Meyer, M. Desbrun, P. Schröder, A. Barr, *Discrete differential-geometry
-//! operators for triangulated 2-manifolds*, 2002: what is flat stays, however irregular its triangles are.
+//! operators for triangulated 2-manifolds*, 2002: a flat part stays, however irregular its triangles are.
 //! Among points alone, weights fall with the distance, and areas are such that the Laplacian of the squared
 //! distance is that of a plane.
 
 use glam::DVec3;
 use simod_plugin_api::Graph;
 
-/// The part of the vertices whose surroundings are finer than what the Laplacian's scale goes by: these count
-/// as if they were not.
+/// Part of the vertices whose surroundings are finer than those that determine the Laplacian's scale: these
+/// vertices count as if they were not finer.
 const FINEST: f64 = 0.05;
 
-/// Triangles of less height beside their longest side are lines, which hold nothing.
+/// Height beside its longest side below which a triangle is a line, which holds nothing.
 const SLIVER: f64 = 1e-6;
 
 /// A Laplacian at the vertices, times [`scale`](Self::scale).
 pub struct MeshLaplacian {
     starts: Vec<u32>,
     entries: Vec<(u32, f64)>,
-    /// A squared length: -Δ is the operator divided by it.
+    /// Squared length: -Δ is the operator divided by it.
     pub scale: f64,
 }
 
@@ -31,8 +31,9 @@ struct EdgeWeights {
 }
 
 impl MeshLaplacian {
-    /// The Laplacian of triangles, and of neighbours at vertices without. `freedom` is how free each vertex
-    /// is to move, 0 to 1. Vertices on open borders are not: nothing says how these go on.
+    /// Laplacian of triangles, and of neighbours at vertices without triangles. `freedom` says for each
+    /// vertex how free it is to move, 0 to 1. Vertices on open borders are not: nothing says how these go
+    /// on.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]], graph: &Graph<'_>, freedom: &[f64]) -> Self {
         let mut freedom = freedom.to_vec();
         let mut has_triangles = vec![false; positions.len()];
@@ -73,7 +74,7 @@ impl MeshLaplacian {
         Self { starts, entries, scale }
     }
 
-    /// Whether a vertex stays where it is.
+    /// Whether a vertex stays in its place.
     pub fn holds(&self, i: usize) -> bool {
         self.starts[i] == self.starts[i + 1]
     }
@@ -86,7 +87,7 @@ impl MeshLaplacian {
 }
 
 impl EdgeWeights {
-    /// Half of the cotangents against an edge, and a third of the triangles' areas.
+    /// Weights of half of the cotangents against an edge, and a third of the triangles' areas.
     fn of_triangles(positions: &[DVec3], triangles: &[[u32; 3]]) -> Self {
         let (mut edges, mut areas) = (Vec::with_capacity(3 * triangles.len()), vec![0.0; positions.len()]);
         for triangle in triangles {
@@ -113,8 +114,8 @@ impl EdgeWeights {
         Self { edges, areas }
     }
 
-    /// Weights e^(-2 d²/h²) of neighbours at a distance of d, where h is that of all of them, root mean
-    /// square, at the two ends in the geometric mean.
+    /// Weights e^(-2 d²/h²) of neighbours at a distance of d, where h is the geometric mean of two widths:
+    /// at each end, the root mean square of the distances of all neighbours.
     fn of_neighbours(positions: &[DVec3], graph: &Graph<'_>) -> Self {
         let squared = |i: usize, j: u32| positions[i].distance_squared(positions[j as usize]);
         let width = |i: usize| {
@@ -146,7 +147,7 @@ fn edge(a: u32, b: u32) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
-/// Vertices of edges that one triangle has alone.
+/// Vertices of edges with one triangle alone.
 fn borders(triangles: &[[u32; 3]]) -> impl Iterator<Item = u32> {
     let of = |t: &[u32; 3]| [edge(t[0], t[1]), edge(t[1], t[2]), edge(t[2], t[0])];
     let mut edges: Vec<[u32; 2]> = triangles.iter().flat_map(of).collect();

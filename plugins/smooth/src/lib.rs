@@ -1,10 +1,11 @@
-//! Smoothing at the scale of the samples: bumps up to some size go, larger ones stay, and what is finer than
-//! the samples is carried along as it is.
+//! Smoothing at the scale of the samples: bumps up to some size go, larger ones stay, and details finer
+//! than the samples are carried along as they are.
 //!
-//! Two methods: a low-pass filter (G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH
-//! 1995, by the polynomials of Taubin, Zhang and Golub 1996), which keeps the size of what stays; and mean
-//! curvature flow (M. Desbrun, M. Meyer, P. Schröder, A. Barr, *Implicit fairing of irregular meshes using
-//! diffusion and curvature flow*, SIGGRAPH 1999), by which all shrinks the faster the more it is curved.
+//! Two methods: a low-pass filter (G. Taubin, *A signal processing approach to fair surface design*,
+//! SIGGRAPH 1995, by the polynomials of Taubin, Zhang and Golub 1996), which keeps the size of the waves
+//! that stay; and mean curvature flow (M. Desbrun, M. Meyer, P. Schröder, A. Barr, *Implicit fairing of
+//! irregular meshes using diffusion and curvature flow*, SIGGRAPH 1999), by which all shrinks the faster
+//! the more it is curved.
 
 mod filter;
 mod laplacian;
@@ -19,31 +20,30 @@ use simod_plugin_api::{
 };
 use std::f64::consts::TAU;
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
-/// Waves of which the samples tell next to nothing: shorter than so many of the distances between these.
+/// Length of waves, in distances between the samples, below which the samples tell next to nothing of them.
 const SHORTEST: f64 = 3.0;
 
 /// The plugin.
 struct Smooth;
 
-/// What is smoothed.
+/// Parameters of the smoothing.
 #[derive(ParamSet)]
 struct SmoothSettings {
-    /// A filter keeps the size of what stays; the flow shrinks all, what is most curved first
+    /// Method; a filter keeps the size of what stays, the flow shrinks all, what is most curved first
     #[param(default = SmoothingMethod::Filter, invalidates_preparation)]
     method: SmoothingMethod,
-    /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a
-    /// third)
+    /// Length from crest to crest below which bumps go; of those as long, half is left (by the flow, a third)
     #[param(default = 0.05, unit = "diagonal", hard = f64::MIN_POSITIVE..=10.0, soft = 0.005..=0.5, invalidates_preparation)]
     size: f64,
-    /// How much of it is done; less than nothing makes bumps stand out
+    /// Amount of smoothing: 1 is all, 0 none, values below 0 make bumps stand out
     #[param(default = 1.0, hard = -10.0..=10.0, soft = -1.0..=1.0)]
     amount: f64,
-    /// In how many steps the flow goes on, each by the curvature that the one before has left
+    /// Number of steps of the flow, each by the curvature that the one before has left
     #[param(default = 4, hard = 1..=1000, soft = 1..=20, invalidates_preparation)]
     steps: i64,
-    /// Brings back what a closed surface has lost of its volume
+    /// Gives a closed surface back what it has lost of its volume
     #[param(default = true, invalidates_preparation)]
     keep_volume: bool,
 }
@@ -56,10 +56,10 @@ enum SmoothingMethod {
     Flow,
 }
 
-/// Where each sample goes at an amount of 1.
+/// Position of each sample at an amount of 1.
 struct SmoothedSamples(Vec<DVec3>);
 
-/// How free each sample is to move: not at all where it is fixed, and less towards it.
+/// Freedom of each sample to move, 1 in general, and less by the weights of fixed regions, down to 0.
 fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
     let mut freedom = vec![1.0; input.samples.positions().len()];
     for region in input.regions().iter().filter(|region| region.role == Role::FIXED) {
@@ -68,7 +68,7 @@ fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
     freedom
 }
 
-/// The triangles between the samples whose corners are there, and not the same.
+/// Triangles between the samples whose corners exist and differ.
 fn triangles(input: &PrepareInput<'_>) -> Vec<[u32; 3]> {
     let count = input.samples.positions().len() as u32;
     let is_right =
@@ -76,8 +76,8 @@ fn triangles(input: &PrepareInput<'_>) -> Vec<[u32; 3]> {
     input.triangles().map_or(Vec::new(), |t| t.indices().iter().filter(is_right).copied().collect())
 }
 
-/// A wave's number, squared: an eigenvalue of the Laplacian. `size` is that of the wave, as a part of the
-/// diagonal.
+/// Square of a wave's number: an eigenvalue of the Laplacian. `size` is the length of the wave, as a part
+/// of the diagonal.
 fn wave(size: f64, diagonal: f64) -> f64 {
     (TAU / (size * diagonal)).powi(2)
 }
@@ -105,8 +105,8 @@ fn filtered(
     filter.apply(&laplacian, positions, host, |part| host.progress(part))
 }
 
-/// Positions after the flow by curvature, in steps that each have the Laplacian of what there is by then. Of
-/// a wave of this number, squared, a third is left in the end.
+/// Positions after the flow by curvature, in steps that each have the Laplacian of the present positions.
+/// Of a wave whose number has the square `wave`, a third is left in the end.
 fn flowed(
     positions: &[DVec3],
     laplacian: impl Fn(&[DVec3]) -> MeshLaplacian,
@@ -124,8 +124,8 @@ fn flowed(
     Ok(smoothed)
 }
 
-/// Moves samples along their normals alone. Nothing tells where a surface of points alone ends: towards its
-/// middle they do not go.
+/// Moves samples along their normals alone. Nothing tells where a surface of points alone ends: samples do
+/// not go towards its middle.
 fn keep_to_normals(smoothed: &mut [DVec3], positions: &[DVec3], normals: &[[f32; 3]]) {
     for ((new, p), n) in smoothed.iter_mut().zip(positions).zip(normals) {
         let n = DVec3::from(n.map(f64::from)).normalize_or_zero();

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 const BOUNDS: Bounds = Bounds { min: [-1.0; 3], max: [1.0; 3] };
 
-/// Samples with triangles or without, and what is asked for.
+/// Samples with triangles or without, and the parameters.
 #[derive(Clone)]
 struct Setup {
     positions: Vec<[f32; 3]>,
@@ -15,7 +15,7 @@ struct Setup {
     triangles: Vec<[u32; 3]>,
     fixed: Vec<f32>,
     method: &'static str,
-    /// From crest to crest, a length.
+    /// Length of the smoothed bumps from crest to crest.
     size: f64,
     amount: f64,
     steps: f64,
@@ -187,7 +187,7 @@ fn short_waves_go_and_long_ones_stay() {
             let triangles = if with_triangles { triangles } else { Vec::new() };
             let setup = Setup { size: 0.15, ..Setup::new(&places, triangles) };
             let smoothed = setup.run().unwrap();
-            // Away from the border; the part of the wave that is left.
+            // The part of the wave that is left is measured away from the border.
             let inner = places.iter().zip(smoothed).filter(|(p, _)| p.x.abs() < 0.3 && p.y.abs() < 0.3);
             let (mut product, mut squares) = (0.0, 0.0);
             for (p, q) in inner {
@@ -234,7 +234,7 @@ fn a_filter_keeps_the_size_of_a_sphere_and_takes_its_bumps() {
     assert!(rms(&smoothed) < 0.3 * rms(&places), "{} of {}", rms(&smoothed), rms(&places));
     let [before, after] = [&places, &smoothed].map(|all| volume::volume(all, &triangles));
     assert!((after / before - 1.0).abs() < 2e-3, "{before} {after}");
-    // As much the other way makes them stand out.
+    // A negative amount makes bumps stand out by as much.
     let sharpened = Setup { amount: -1.0, ..setup }.run().unwrap();
     for ((p, a), b) in places.iter().zip(smoothed).zip(sharpened) {
         assert!((a + b - 2.0 * *p).length() < 1e-6);

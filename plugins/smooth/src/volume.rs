@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// Steps by which a volume is brought back; each leaves a small part of what was off.
+/// Number of steps by which a volume is brought back; each leaves a small part of the error.
 const STEPS: usize = 4;
 
 /// Whether each edge has a triangle on either side, in the same sense: whether there is a volume.
@@ -24,8 +24,8 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     triangles.iter().map(part).sum()
 }
 
-/// Moves what is free along the normals, all of it by one distance times its freedom, until the volume is the
-/// given one.
+/// Moves vertices along the normals, all by one distance times their freedom, until the volume is the given
+/// one.
 pub fn bring_back(positions: &mut [DVec3], triangles: &[[u32; 3]], freedom: &[f64], goal: f64) {
     for _ in 0..STEPS {
         let mut normals = vec![DVec3::ZERO; positions.len()];
@@ -34,7 +34,7 @@ pub fn bring_back(positions: &mut [DVec3], triangles: &[[u32; 3]], freedom: &[f6
             let area = (b - a).cross(c - a) / 6.0;
             t.iter().for_each(|c| normals[*c as usize] += area);
         }
-        // By how much the volume grows with the distance.
+        // The volume grows with the distance by this factor.
         let growth: f64 = normals.iter().zip(freedom).map(|(n, f)| f * n.length()).sum();
         if growth <= 0.0 {
             return;

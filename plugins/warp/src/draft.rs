@@ -1,10 +1,10 @@
-//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants
-//! one after the other.
+//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags
+//! wants one after the other.
 
 use crate::map::{Warp, WarpKind};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Points at a time: loops over as many are what compilers make vectors of.
+/// Number of points side by side: compilers make vectors of loops over so many.
 const LANES: usize = 16;
 
 type DraftLanes = [f32; LANES];
@@ -22,15 +22,14 @@ pub struct Draft {
 /// See [`WarpKind`].
 #[derive(Debug, Clone, Copy)]
 enum DraftMap {
-    /// Turns by so much per length along the axis.
+    /// Turn for each length along the axis.
     Twist { turn: f32 },
-    /// Bends by so much per length along the axis, towards a direction across it; one place of the axis
-    /// stays.
+    /// Turn for each length along the axis, towards a direction across it; one place of the axis stays.
     Bend { turn: f32, across: [f32; 3], still: f32 },
 }
 
 impl Draft {
-    /// The draft of a warp; none where that is as quick itself.
+    /// Draft of a warp; none where the warp itself is as quick.
     pub fn new(warp: &Warp) -> Option<Self> {
         let [from, to] = warp.range;
         let per_length = |angle: f64| Some((angle / (to - from)) as f32).filter(|turn| turn.is_normal());
@@ -48,14 +47,14 @@ impl Draft {
         Some(Self { centre, axis, from: from as f32, to: to as f32, kind })
     }
 
-    /// The images of points, of which there are as many. Nothing is fused, so that all processors give the
-    /// same.
+    /// Writes the images of points, of which there are as many. Nothing is fused, so that all processors
+    /// give the same.
     pub fn apply(&self, points: &[[f32; 3]], images: &mut [[f32; 3]]) {
         Arch::new().dispatch(PointPackets { draft: self, points, images });
     }
 }
 
-/// In the words of whatever vectors the processor has.
+/// Points that are moved in vectors of the processor's width.
 struct PointPackets<'a> {
     draft: &'a Draft,
     points: &'a [[f32; 3]],
@@ -85,7 +84,7 @@ impl WithSimd for PointPackets<'_> {
 }
 
 impl Draft {
-    /// Moves by what the turn adds, so that what it does not reach stays exactly.
+    /// The turn is added as a displacement, so that places that it does not reach stay exactly.
     #[inline(always)]
     fn twist(&self, p: &mut [DraftLanes; 3], turn: f32) {
         let (a, c) = (self.axis, self.centre);
@@ -121,7 +120,7 @@ impl Draft {
             let u = across[0] * d[0] + across[1] * d[1] + across[2] * d[2];
             let (sin, less) = (2.0 * half_sin[i] * half_cos[i], 2.0 * half_sin[i] * half_sin[i]);
             let beyond = s - s.max(self.from).min(self.to);
-            // On the arc, and from its end along its normal and its tangent.
+            // The point moves along the arc, and from its end along its normal and its tangent.
             let along = still + sin / turn - u * sin + beyond * (1.0 - less) - s;
             let aside = less / turn - u * less + beyond * sin;
             for k in 0..3 {
@@ -135,7 +134,7 @@ impl Draft {
 /// thousand turns.
 #[inline(always)]
 fn sines(angles: &DraftLanes) -> (DraftLanes, DraftLanes) {
-    /// Added, it leaves the nearest whole number in the lowest bits.
+    /// Number whose addition leaves the nearest whole number in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
     /// A quarter turn in three parts, whose multiples are exact.
     const QUARTER: [f32; 3] = [1.570_312_5, 4.837_513e-4, 7.549_79e-8];
@@ -147,7 +146,7 @@ fn sines(angles: &DraftLanes) -> (DraftLanes, DraftLanes) {
         let xx = x * x;
         let s = x + x * xx * (-1.666_665_5e-1 + xx * (8.332_161e-3 - xx * 1.951_529_6e-4));
         let c = 1.0 - 0.5 * xx + xx * xx * (4.166_664_6e-2 + xx * (-1.388_731_6e-3 + xx * 2.443_315_7e-5));
-        // Every second quarter has them in each other's place, and two of four other signs.
+        // Every second quarter exchanges sine and cosine, and two of four change a sign.
         let swapped = (quarter & 1).wrapping_neg();
         let (s, c) = (s.to_bits(), c.to_bits());
         let both = (s ^ c) & swapped;

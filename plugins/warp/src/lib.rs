@@ -14,44 +14,43 @@ use simod_plugin_api::{
     PluginError, PluginResult, PrepareInput,
 };
 
-/// Samples that are deformed at once on one thread.
+/// Number of samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
 
 /// The plugin.
 struct WarpPlugin;
 
-/// The kind of warp, and where it acts.
+/// Parameters: the kind of warp, and its place.
 #[derive(ParamSet)]
 struct WarpSettings {
-    /// What happens along the axis
+    /// Kind of deformation along the axis
     #[param(default = Operation::Twist)]
     operation: Operation,
-    /// A point on the axis; a bend, stretch or shear leaves it where it is
+    /// Point on the axis; a bend, stretch or shear leaves it where it is
     #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length")]
     center: [f64; 3],
-    /// Along which the warp runs
+    /// Direction along which the warp runs
     #[param(direction, default = [0.0, 1.0, 0.0])]
     axis: [f64; 3],
-    /// Where a bend or shear leans the axis to; its part along the axis does not count
+    /// Direction to which a bend or shear leans the axis; its part along the axis does not count
     #[param(direction, default = [1.0, 0.0, 0.0])]
     direction: [f64; 3],
-    /// Of a twist or bend, over the whole range
+    /// Angle of a twist or bend over the whole range
     #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
     angle: f64,
-    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's
-    /// length, relative to that before
+    /// Ratio of a taper's size at the end to that at the start, or of a stretch's length to that before
     #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
     factor: f64,
-    /// Of a stretch: makes all thinner as the range gets longer, so that the range keeps its volume
+    /// Makes what is stretched thinner as the range gets longer, so that the range keeps its volume
     #[param(default = false)]
     keep_volume: bool,
-    /// Of a shear: way across the axis, per length along it
+    /// Displacement of a shear across the axis, per length along it
     #[param(default = 0.5, soft = -2.0..=2.0)]
     slope: f64,
-    /// Start of the range along the axis, signed, from the centre
+    /// Start of the range along the axis, as a signed distance from the centre
     #[param(default = -0.5, unit = "diagonal", soft = -1.0..=1.0)]
     from: f64,
-    /// End of the range along the axis, signed, from the centre
+    /// End of the range along the axis, as a signed distance from the centre
     #[param(default = 0.5, unit = "diagonal", soft = -1.0..=1.0)]
     to: f64,
 }
@@ -78,7 +77,7 @@ impl Deformer for WarpPlugin {
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
-        // Nothing to prepare, but senseless parameters are better told early.
+        // There is nothing to prepare, but senseless parameters are better told early.
         warp(input.params(), &input.bounds).map(drop)
     }
 
@@ -148,7 +147,8 @@ mod tests {
 
     const BOUNDS: Bounds = Bounds { min: [-1.0, -2.0, -1.0], max: [1.0, 2.0, 1.0] };
 
-    /// How far samples and space differ, and whether all stays where it is; `amount` 0 should do that.
+    /// Difference between the images of samples and of space, and whether all stays in its place; `amount`
+    /// 0 should do that.
     fn run(operation: &str, amount: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
         let (centre, axis, direction) = ([0.1, 0.2, 0.0], [0.0, 3.0, 0.0], [1.0, 1.0, 0.0]);
         let (angle, factor, slope) = ([75.0 * amount], [1.0 - 0.7 * amount], [amount]);

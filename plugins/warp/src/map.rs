@@ -1,9 +1,9 @@
 //! The maps themselves, in double precision.
 //!
 //! In the frame of the centre and the axis, a point is `(s, q)`: its signed distance along the axis and the
-//! rest, perpendicular to it. With `r(s)` the range's parameter, 0 at its start, 1 at its end, clamped
-//! outside, and `l(s)` the signed length of the range from the point of it that stays (the centre, or the end
-//! next to it) to `s`:
+//! rest, perpendicular to the axis. With `r(s)` the range's parameter, 0 at its start, 1 at its end,
+//! clamped outside, and `l(s)` the signed length of the range from its point that stays (the centre, or the
+//! end next to it) to `s`:
 //!
 //! * twist turns `q` by `angle · r(s)` about the axis;
 //! * taper scales `q` by `1 + (factor - 1) · r(s)`;
@@ -16,24 +16,24 @@ use simod_plugin_api::{PluginError, PluginResult};
 
 type Vec3 = [f64; 3];
 
-/// What a warp does. Angles in radians, over the whole range.
+/// Kind and amount of a warp. Angles in radians, over the whole range.
 #[derive(Debug, Clone, Copy)]
 pub enum WarpKind {
-    /// Turns about the axis, ever more.
+    /// Turns about the axis, ever more along the range.
     Twist {
-        /// At the end of the range; right-handed about the axis.
+        /// Angle at the end of the range; right-handed about the axis.
         angle: f64,
     },
     /// Bends the axis.
     Bend {
-        /// Between the tangents at both ends.
+        /// Angle between the tangents at both ends.
         angle: f64,
-        /// Where the axis turns to; its part along the axis is dropped.
+        /// Direction to which the axis turns; its part along the axis is dropped.
         direction: Vec3,
     },
     /// Scales perpendicularly to the axis.
     Taper {
-        /// At the end of the range; 1 at its start.
+        /// Factor at the end of the range; 1 at its start.
         factor: f64,
     },
     /// Scales along the axis.
@@ -47,7 +47,7 @@ pub enum WarpKind {
     Shear {
         /// Way across the axis, per length along it.
         slope: f64,
-        /// Where the end of the range moves to; its part along the axis is dropped.
+        /// Direction in which the end of the range moves; its part along the axis is dropped.
         direction: Vec3,
     },
 }
@@ -90,7 +90,7 @@ impl Warp {
                 self.stretch(p, factor, keep_volume)
             }
             WarpKind::Shear { slope, direction } if slope != 0.0 => self.shear(p, slope, direction),
-            // Exactly, and not only up to rounding.
+            // The point stays exactly, and not only up to rounding.
             WarpKind::Twist { .. }
             | WarpKind::Bend { .. }
             | WarpKind::Taper { .. }
@@ -112,7 +112,7 @@ impl Warp {
         r.clamp(0.0, 1.0)
     }
 
-    /// The nearest point of the range, and the one that stays where the axis itself is moved: the centre, or
+    /// Nearest point of the range, and the point that stays where the axis itself is moved: the centre, or
     /// else the end next to it.
     fn held_and_still(&self, s: f64) -> (f64, f64) {
         let [from, to] = self.range;
@@ -175,7 +175,7 @@ fn across(direction: Vec3, axis: Vec3) -> PluginResult<Vec3> {
         PluginError::parameter("direction", "is zero").hint("give a direction, such as [1, 0, 0]")
     })?;
     let across = add(direction, axis, -dot(direction, axis));
-    // Nearer than a thousandth of a degree, what is left is rounding.
+    // A direction nearer to the axis than a thousandth of a degree leaves rounding alone.
     let across = (dot(across, across) > 3e-10).then(|| unit(across)).flatten();
     across.ok_or_else(|| {
         PluginError::parameter("direction", "is parallel to `axis`")

@@ -41,16 +41,16 @@ struct Arguments {
     /// Preparations; the table has their median
     #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     runs: u32,
-    /// Only rows whose name begins so
+    /// Beginning of the names of the rows to measure
     #[arg(long, default_value = "", value_name = "TEXT")]
     only: String,
-    /// Threads [default: all cores]
+    /// Number of threads [default: all cores]
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Where the temporary files go
+    /// Folder for temporary files
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
-    /// Measure one row on the samples in `folder`
+    /// Row to measure on the samples in `folder`
     #[arg(long, hide = true)]
     row: Option<usize>,
 }

@@ -25,7 +25,7 @@ use simod_benches::process::{Result, exit};
 #[derive(Parser)]
 #[command(max_term_width = 100)]
 struct Arguments {
-    /// Measure only these
+    /// Sections to measure, instead of all
     #[arg(long, value_enum, value_delimiter = ',', value_name = "SECTION,...")]
     only: Vec<Section>,
     /// Measure on this model instead of a generated amphora; details measures it beside a generated one
@@ -55,7 +55,7 @@ struct Arguments {
     /// Speed: the program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// Where the temporary files go: for speed on the disk to be measured, with room for the largest model
+    /// Folder for temporary files; for speed on the disk to be measured, with room for the largest model
     /// twice
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,

@@ -21,7 +21,7 @@ use simod_benches::process::{self, Result, exit};
 #[derive(Parser)]
 #[command(max_term_width = 100)]
 struct Arguments {
-    /// Measure only one of both
+    /// Section to measure, instead of both
     #[arg(long, value_enum, value_name = "PART")]
     only: Option<Part>,
     /// Quality: refine the triangles of this OBJ file, instead of a coarse amphora
@@ -45,10 +45,10 @@ struct Arguments {
     /// Runs of each program; the tables have the medians of their times
     #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     runs: u32,
-    /// The program to measure [default: the one beside this program]
+    /// Program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// Where the temporary files go: on the disk to be measured, with room for the largest model twice
+    /// Folder for temporary files, on the disk to be measured, with room for the largest model twice
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
     #[command(subcommand)]

@@ -29,7 +29,7 @@ use simod_model::progress::Silent;
 #[derive(Parser)]
 #[command(max_term_width = 100)]
 struct Arguments {
-    /// Only these cases, or pictures of these tools that take no handles
+    /// Cases to measure, instead of all, or tools without handles of which to draw pictures
     #[arg(long, value_delimiter = ',', value_name = "CASE,...")]
     only: Vec<String>,
     /// Vertices of the generated models
@@ -41,14 +41,14 @@ struct Arguments {
     /// Draw the results into this folder
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// The folder with the cases' sessions
+    /// Folder with the cases' sessions
     #[arg(long, value_name = "DIR", default_value = concat!(env!("CARGO_MANIFEST_DIR"), "/survey"))]
     #[arg(hide_default_value = true)]
     sessions: PathBuf,
-    /// The program to measure [default: the one beside this program]
+    /// Program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// Where the temporary files go
+    /// Folder for temporary files
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

@@ -1,4 +1,5 @@
-//! `simod bind`: what every reconstruction of a model finds out anew, once for all.
+//! `simod bind`: the part of every reconstruction of a model that depends on no deformation, done once for
+//! all.
 
 use std::path::PathBuf;
 
@@ -13,13 +14,16 @@ use super::overwrite::Overwrite;
 use super::tell_cache;
 use crate::report::{Report, count};
 
-/// Find out once who is near whom, for a model that will be reconstructed again and again
+/// Write the part of a reconstruction that is the same for every deformation
+///
+/// It is kept as `binding.bin` in the folder of the sampled model. `simod reconstruct` uses it by itself, and
+/// takes less time with it: for models that are reconstructed again and again.
 #[derive(Args)]
 pub struct Bind {
-    /// The sampled model. `binding.bin` is added to it, which `simod reconstruct` uses by itself
+    /// Folder of the sampled model, to which `binding.bin` is added
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The model that was sampled, if it was moved since
+    /// Model that was sampled, if its file has moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     #[command(flatten)]
@@ -28,9 +32,9 @@ pub struct Bind {
 
 impl Bind {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        // As long as it is bound, its samples stay the same.
+        // The samples stay the same as long as the model is being bound.
         let _claim = match Claim::folder(&self.sampled) {
-            // Where nothing can be written beside the folder, nobody replaces it.
+            // A folder beside which nothing can be written is replaced by nobody, so no claim is needed.
             Err(e) if e.kind() == ErrorKind::Io => None,
             claim => Some(claim?),
         };

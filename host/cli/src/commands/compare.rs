@@ -12,29 +12,30 @@ use super::engines::{EngineName, engines};
 use super::plugin_options::PluginArgs;
 use crate::report::{Report, count, duration};
 
-/// Do several methods on one model, and compare what they make of it: a page, figures and pictures
+/// Do several methods on one model, and write a page, figures and pictures that compare them
 #[derive(Args)]
 pub struct Compare {
-    /// The methods, and what they are done to
+    /// Comparison file, with the model and the methods
     #[arg(value_name = "COMPARE.toml")]
     file: PathBuf,
-    /// The folder to write: index.html, compare.json, compare.csv, compare.tex and pictures
+    /// Folder to write: index.html, compare.json, compare.csv, compare.tex and pictures
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// The model, if it is not where the file says
+    /// Model to deform, if it is not where the file says
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Keep the deformed models in the folder
     #[arg(long)]
     keep_models: bool,
-    /// Do nothing yet, but write the work as units to a folder, for more machines than one: each is done by
-    /// `simod unit`, and all together write the same comparison
+    /// Folder to write the work to as units, for more machines than one, instead of doing it
+    ///
+    /// Each unit is done by `simod unit`, and all together write the same comparison.
     #[arg(long, value_name = "DIR")]
     plan: Option<PathBuf>,
-    /// Write what an engine needs for the plan as well (may be given several times)
+    /// Engine for which to write what the plan needs as well (may be given several times)
     #[arg(long, value_enum, value_name = "ENGINE", value_delimiter = ',', requires = "plan")]
     emit: Vec<EngineName>,
-    /// Run the programs that the file names as methods: only if you know what they do
+    /// Run the programs that the file names as methods, only if you know what they do
     #[arg(long)]
     allow_commands: bool,
     #[command(flatten)]
@@ -75,7 +76,7 @@ impl Compare {
     }
 }
 
-/// What a method took, or why it was not done.
+/// Reports the times of a method, or why it was not done.
 pub fn tell_method(method: &MethodRecord, report: &mut Report) {
     if let Some(failure) = &method.error {
         report.warn(format!("{} failed: {} ({})", method.name, failure.what, failure.hint));
@@ -94,7 +95,7 @@ pub fn tell_method(method: &MethodRecord, report: &mut Report) {
     report.line(format!("{}: {done}", method.name));
 }
 
-/// What came of all methods, and where it is.
+/// Reports the outcome of all methods, and the place of the page.
 pub fn tell_comparison(comparison: &Comparison, output: &Path, report: &mut Report) {
     report.figure("vertices", comparison.model.vertices);
     report.figure("done", comparison.done().count());

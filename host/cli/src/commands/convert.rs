@@ -19,30 +19,38 @@ use super::overwrite::Overwrite;
 use super::tell_cache;
 use crate::report::{Report, count, rate, with_lengths};
 
-/// Write a model in another format, streamed, as it is
+/// Write a model in another format, without any deformation
 #[derive(Args)]
 pub struct Convert {
-    /// The model: of any format that is read, or a pattern of several tiles, as 'tiles/*.laz'
+    /// Model, as a file of any format that is read, or as a pattern of tiles, 'tiles/*.laz'
     model: PathBuf,
-    /// The file to write; its extension says the format: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt,
-    /// xyz, xyzn, xyzrgb. Of tiles, the folder for them
+    /// File to write, whose extension says the format; for tiles, the folder to write them to
+    ///
+    /// Formats: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt, xyz, xyzn, xyzrgb.
     output: PathBuf,
-    /// For tiles: the format that each of them becomes, by its extension; they keep their names but for that
+    /// Extension of the format that each tile is written in, as laz; for tiles alone
+    ///
+    /// Tiles keep their names but for it.
     #[arg(long, value_name = "EXTENSION")]
     to: Option<String>,
-    /// What the columns of a text are, as x,y,z,_,nx,ny,nz
+    /// Columns of a text file, as x,y,z,_,nx,ny,nz [default: names in its first line, or x,y,z]
+    ///
+    /// `_` stands for a column that is neither a position nor a normal.
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
-    /// Write even what the new format cannot hold all of: without it, that is an error which lists what would
-    /// be lost
+    /// Write a format that cannot hold all that the model has
+    ///
+    /// Without it, that is an error, which lists what would be lost.
     #[arg(long)]
     lossy: bool,
-    /// For LAS and LAZ: from one integer to the next, in the model's unit [default: the model's own, or as
-    /// fine as its extent allows]
+    /// Step from one integer to the next, in the model's unit; for LAS and LAZ
+    ///
+    /// [default: the model's own, or as fine as its extent allows]
     #[arg(long, value_name = "L")]
     step: Option<f64>,
-    /// For LAS and LAZ: the position of number zero, as 500000,5400000,0 [default: the model's own, or near
-    /// its middle]
+    /// Position of the integers' zero, as 500000,5400000,0; for LAS and LAZ
+    ///
+    /// [default: the model's own, or near its middle]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     origin: Option<DVec3>,
     #[command(flatten)]
@@ -68,7 +76,7 @@ impl Convert {
         }
     }
 
-    /// Each tile to a file of its own.
+    /// Converts each tile to a file of its own.
     fn tiles(&self, named: &ModelName, to: &str, report: &mut Report) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads_all(named.files());
@@ -118,7 +126,7 @@ impl Convert {
         Ok(())
     }
 
-    /// Says what --step and --origin are for, where they are given in vain.
+    /// Says that --step and --origin are for other formats, where they are given in vain.
     fn tell_of_floats(&self, target: &dyn Display, progress: &dyn Progress) {
         if self.step.is_some() || self.origin.is_some() {
             progress
@@ -141,7 +149,7 @@ impl Convert {
     }
 }
 
-/// Says what a converted model lacks, and what its positions are rounded to.
+/// Says what a converted model lacks, and to what its positions are rounded.
 pub fn tell_losses(losses: &[String], rounding: Option<Rounding>, report: &mut Report) {
     report.figure("lost", json!(losses));
     if let Some(rounding) = rounding {

@@ -17,24 +17,27 @@ use super::time_options::TimeOptions;
 use super::{notices, tell};
 use crate::report::{Report, count};
 
-/// Deform the samples by the steps of a session
+/// Deform the samples of a model by the steps of a session
 #[derive(Args)]
 pub struct Deform {
-    /// The sampled model
+    /// Folder of the sampled model
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The session; its steps are taken, its model and output are not
+    /// Session file: its steps are done, its model and output are not used
     #[arg(long, value_name = "FILE")]
     session: PathBuf,
-    /// The deformed samples to write (PLY)
+    /// PLY file to write the deformed samples to
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// The model, if it was moved since it was sampled: read where a step refines, or a plugin asks for
-    /// colours and other attributes that the sampled model does not keep yet
+    /// Model that was sampled, if its file has moved since
+    ///
+    /// It is read where a step refines, or where a plugin asks for colours or other attributes that the
+    /// sampled model does not keep yet.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// The folder for the model as the session's steps refine it: the deformed samples are of that one.
-    /// Needed if any do
+    /// Folder to write the refined model to; needed if a step of the session refines
+    ///
+    /// The deformed samples are then those of the refined model.
     #[arg(long, value_name = "DIR")]
     refined: Option<PathBuf>,
     #[command(flatten)]
@@ -91,7 +94,7 @@ impl Deform {
         Ok(())
     }
 
-    /// Where the refined model goes, if the session refines.
+    /// Folder for the refined model, if the session refines.
     fn refined_folder(&self, session: &SessionFile) -> Result<Option<&Path>> {
         let mut refinements = session.steps.iter().filter(|step| step.enabled && step.refines());
         let Some(first) = refinements.next() else { return Ok(None) };

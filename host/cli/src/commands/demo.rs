@@ -16,11 +16,13 @@ use super::plugin_options::PluginArgs;
 use super::run::{describe, describe_error};
 use crate::report::{Report, count};
 
-/// Do the main job on a generated model: sample it, deform the samples with two plugins, write the deformed
-/// model, and draw both
+/// Do the main job on a generated model, and draw it before and after
+///
+/// The model is sampled, its samples are deformed with two plugins, and the deformed model is written. The
+/// session that does it is written as well, to be changed and run again.
 #[derive(Args)]
 pub struct Demo {
-    /// The folder to write to
+    /// Folder to write to
     #[arg(short, long, default_value = "simod-demo", value_name = "DIR")]
     output: PathBuf,
     /// Number of vertices of the generated model
@@ -93,7 +95,7 @@ impl Demo {
             crop: Crop::default(),
         };
         let samples = &sampled.samples;
-        // Faces of so many vertices are smaller than what a picture resolves.
+        // The faces of so many vertices are smaller than a picture's pixels.
         let how = (&Paint::Clay, Drawn::Points);
         let pictures = [
             picture::of_model(before.as_ref(), &sampled.bounds, &view, how, progress)?,

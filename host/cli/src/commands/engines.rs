@@ -1,9 +1,9 @@
-//! What does the units of a plan: the value of `--emit`.
+//! The engines that do the units of a plan: the value of `--emit`.
 
 use clap::ValueEnum;
 use simod_session::plan::Emit;
 
-/// What does units.
+/// Engine that does the units of a plan.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
     /// Makefile: `make -C DIR -j 8` does all units

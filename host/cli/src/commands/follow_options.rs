@@ -1,39 +1,46 @@
-//! What turns with the surface: the same for all commands that write deformed models.
+//! The options on attributes that turn with the surface: the same for all commands that write deformed
+//! models.
 
 use std::collections::BTreeMap;
 
 use clap::{Args, ValueEnum};
 use simod_model::follow::{Follow, Opacity, TensorKind};
 
-/// The options on what turns besides positions and normals.
+/// Options on attributes that turn with the surface.
 #[derive(Args)]
 pub struct FollowOptions {
-    /// Numbers of the vertices that turn with the surface, by what their names begin with, as
-    /// tangent=vector,q=quaternion-wxyz: vector, direction, normal, quaternion-wxyz, quaternion-xyzw,
-    /// covariance. Gaussian splats are recognised and turn besides; none keeps all but positions and normals
-    /// [default: what the session declares, or MODEL.follow.toml beside the model, or splats alone]
+    /// Attributes that turn with the surface, as tangent=vector,q=quaternion-wxyz
+    ///
+    /// NAME is what the names of an attribute's numbers begin with. KIND is vector, direction, normal,
+    /// quaternion-wxyz, quaternion-xyzw or covariance. Gaussian splats are recognised and turn besides;
+    /// `none` keeps all but positions and normals. [default: what the session declares, or MODEL.follow.toml
+    /// beside the model, or splats alone]
     #[arg(long, value_name = "NAME=KIND,…")]
     follow: Option<Follow>,
-    /// What becomes of the opacity of Gaussian splats
+    /// Opacity of Gaussian splats that are stretched
     #[arg(long, value_enum, default_value_t)]
     opacity: OpacityName,
-    /// Gaussian splats become at most so many times as long as wide, unless they were before
+    /// Largest ratio of length to width that a stretch gives a Gaussian splat, as 10
+    ///
+    /// Splats of a larger ratio before the deformation keep that. Without this option, any ratio may come
+    /// about.
     #[arg(long, value_name = "N", value_parser = parse_anisotropy)]
     max_anisotropy: Option<f64>,
 }
 
-/// What becomes of the opacity of splats.
+/// Treatment of the opacity of splats.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum OpacityName {
-    /// It stays, as where splats are stretched with the surface they cover as much of it
+    /// Keep it: splats that are stretched with the surface cover as much of it as before
     #[default]
     Keep,
-    /// Stretched ones become more transparent, as their matter is spread over more area
+    /// Lower it where splats are stretched, as their matter is spread over more area
     Conserve,
 }
 
 impl FollowOptions {
-    /// What follows, where a session declares what the command line does not.
+    /// Attributes that follow the surface; the session's declaration holds where the command line gives
+    /// none.
     pub fn follow(&self, declared: &BTreeMap<String, TensorKind>) -> Follow {
         let opacity = match self.opacity {
             OpacityName::Keep => Opacity::Keep,

@@ -14,17 +14,19 @@ use crate::report::{Report, count, rate};
 /// Write a generated model of any size
 #[derive(Args)]
 pub struct Generate {
-    /// The PLY file to write
+    /// PLY file to write
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Number of vertices (met to 2 %)
+    /// Number of vertices, which is met to 2 %
     #[arg(long, default_value_t = 2_000_000, value_name = "N")]
     vertices: u64,
+    /// Shape of the model
     #[arg(long, value_enum, default_value_t)]
     shape: ShapeName,
+    /// Encoding of the file
     #[arg(long, value_enum, default_value_t)]
     encoding: EncodingName,
-    /// Positions in double precision
+    /// Write positions in double precision, instead of single
     #[arg(long)]
     double: bool,
     /// Leave the normals out
@@ -33,10 +35,10 @@ pub struct Generate {
     /// Leave the colours out
     #[arg(long)]
     no_colors: bool,
-    /// Leave the faces out: a point cloud
+    /// Leave the faces out, so that the model is a point cloud
     #[arg(long)]
     no_faces: bool,
-    /// Added to all positions
+    /// Offset to add to all positions, as 500000,4649776,120
     #[arg(long, value_name = "X,Y,Z", default_value = "0,0,0", hide_default_value = true)]
     #[arg(value_parser = parse_offset, allow_hyphen_values = true)]
     offset: DVec3,
@@ -58,6 +60,7 @@ enum ShapeName {
     /// A painted amphora with rope handles, fluting and engraved letters
     #[default]
     Amphora,
+    /// A sphere with waves
     BumpySphere,
     /// A square with long and short waves
     Plane,
@@ -71,12 +74,15 @@ enum ShapeName {
     Cactus,
 }
 
-/// How numbers are stored.
+/// Encoding of the numbers in the file.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum EncodingName {
+    /// Text
     Ascii,
+    /// Binary numbers, least significant byte first
     #[default]
     LittleEndian,
+    /// Binary numbers, most significant byte first
     BigEndian,
 }
 

@@ -1,4 +1,4 @@
-//! `simod info`: what a model or a sampled model is.
+//! `simod info`: the content of a model or a sampled model.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,14 +19,18 @@ use super::sample::asked_error;
 use super::tell_cache;
 use crate::report::{Report, count, length, with_lengths};
 
-/// Show what a model, or a sampled model, holds
+/// Show the content of a model, or of a sampled model
 #[derive(Args)]
 pub struct Info {
-    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), several files
-    /// or a pattern as 'tiles/*.laz' that are one model, or the folder of a sampled one
+    /// Model, as a file, several files or a pattern, or folder of a sampled model
+    ///
+    /// Formats: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, and text in columns. Several files,
+    /// or all that match a pattern such as 'tiles/*.laz', are the tiles of one model.
     #[arg(value_name = "MODEL|DIR", required = true)]
     path: Vec<PathBuf>,
-    /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
+    /// Columns of a text file, as x,y,z,_,nx,ny,nz [default: names in its first line, or x,y,z]
+    ///
+    /// `_` stands for a column that is neither a position nor a normal.
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
 }
@@ -98,7 +102,7 @@ impl Info {
             ));
         }
         tell_bounds(&sampled.bounds, report);
-        // As far as the model is there, and tells without being gone over.
+        // Only a model whose files are there and tell their content without a whole reading is described.
         if source.files().iter().all(|path| tells_when_opened(path))
             && let Ok(model) = sampled.open_source(None, report.progress())
         {
@@ -141,7 +145,7 @@ fn scalar_name(scalar: Scalar) -> &'static str {
     }
 }
 
-/// Tells what a model's vertices have, and what its file says besides.
+/// Tells what a model's vertices have, and what else its file holds.
 fn tell_content(model: &dyn Model, report: &mut Report) {
     let info = model.info();
     let normals = if info.has_normals { "with" } else { "without" };
@@ -162,7 +166,7 @@ fn tell_content(model: &dyn Model, report: &mut Report) {
     }
 }
 
-/// Tells what a model's file says of itself, and where on earth it is.
+/// Tells what a model's file says about itself, and its place on earth.
 fn tell_details(model: &dyn Model, report: &mut Report) {
     let details = model.details();
     if !details.is_empty() {
@@ -183,7 +187,7 @@ fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
     };
     let diagonal = sampled.bounds.diagonal();
     let cell = sampled.cell_size / diagonal;
-    // A model may be at one place.
+    // All vertices of a model may be at one place.
     let size = if diagonal > 0.0 {
         length(cell, diagonal)
     } else {

@@ -40,12 +40,12 @@ pub fn set_threads(n: usize) -> Result<()> {
     })
 }
 
-/// Says what the user should know of the plugins that do these steps, before they do.
+/// Reports the notices on the plugins that do these steps, before they do.
 fn notices(plugins: &PluginRegistry, steps: &[Step], report: &mut Report) {
     plugins.notices(steps).into_iter().for_each(|notice| report.warn(notice));
 }
 
-/// Passes on what plugins had to say.
+/// Reports the messages of plugins.
 fn tell(messages: &[Message], report: &mut Report) {
     for message in messages.iter().filter(|m| !m.is_debug()) {
         let text = format!("{}: {}", message.plugin, message.text);
@@ -53,14 +53,14 @@ fn tell(messages: &[Message], report: &mut Report) {
     }
 }
 
-/// Says how large what had to be made of the model is.
+/// Reports the size of the cache that had to be made of the model.
 fn tell_cache(cache: &Cache, report: &mut Report) {
     if let Some(bytes) = cache.bytes() {
         report.figure("cache_bytes", bytes);
     }
 }
 
-/// Says how many splats were not sampled.
+/// Reports the number of splats that were not sampled.
 fn tell_transparent(sampled: &SampledModel, report: &mut Report) {
     if let (n @ 1.., Some(least)) = (sampled.source.transparent, sampled.sampling.min_opacity) {
         report.figure("transparent", n);
@@ -72,7 +72,7 @@ fn tell_transparent(sampled: &SampledModel, report: &mut Report) {
     }
 }
 
-/// Says which vertices will stay as they are.
+/// Reports the vertices that will stay as they are.
 fn warn_non_finite(sampled: &SampledModel, report: &mut Report) {
     if let (n @ 1.., Some(first)) = (sampled.source.non_finite, sampled.source.first_non_finite) {
         report.figure("non_finite", n);

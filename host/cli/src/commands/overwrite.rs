@@ -1,4 +1,4 @@
-//! What a command's outputs may replace: the same for all commands.
+//! The option on files that a command's outputs may replace: the same for all commands.
 
 use std::path::Path;
 
@@ -11,14 +11,15 @@ use simod_session::{PluginRegistry, SessionFile, sidecar};
 /// The option on files that are there already.
 #[derive(Args)]
 pub struct Overwrite {
-    /// Replace a file that is there though it is of another kind than what is written; never one that this
-    /// command reads
+    /// Replace files of another kind than what is written
+    ///
+    /// Files of the same kind are replaced without it. Files that this command reads are never replaced.
     #[arg(long)]
     force: bool,
 }
 
 impl Overwrite {
-    /// As if the option was given, or was not.
+    /// The options as if `--force` was given, or was not.
     pub fn forcing(force: bool) -> Self {
         Self { force }
     }

@@ -21,38 +21,42 @@ use super::tell;
 use super::time_options::TimeOptions;
 use crate::report::{Report, count};
 
-/// Write a whole `simod run` as units of work, for more machines than one: each is done by `simod unit`, and
-/// all together write the same bytes
+/// Write a session as units of work, for more machines than one
+///
+/// Each unit is done by `simod unit`, and all together write the same bytes as `simod run`.
 #[derive(Args)]
 pub struct Plan {
-    /// The session
+    /// Session file
     session: PathBuf,
-    /// The folder of the plan, which all machines see: units read and write there
+    /// Folder to write the plan to, which all machines see
+    ///
+    /// Units read and write there.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// How many units share each stage that can be divided
+    /// Number of units that share each stage that can be divided
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     units: u64,
-    /// Write what an engine needs as well (may be given several times)
+    /// Engine for which to write what it needs as well (may be given several times)
     #[arg(long, value_enum, value_name = "ENGINE", value_delimiter = ',')]
     emit: Vec<EngineName>,
-    /// The deformed model to write, instead of the session's own output
+    /// File to write the deformed model to, instead of the session's own output
     #[arg(long, value_name = "FILE")]
     to: Option<PathBuf>,
-    /// The model, if it is not where the session says
+    /// Model to deform, if it is not where the session says
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// How to transfer the deformation
+    /// Method by which the deformation goes from the samples to the vertices
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
-    /// What becomes of the model's normals
+    /// Normals of the deformed model
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    /// Offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Write another format than the model's, which the output's extension says, even where it cannot hold
-    /// all
+    /// Write a format that cannot hold all that the model has
+    ///
+    /// The output's extension says the format. Without it, that is an error, which lists what would be lost.
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]
@@ -98,7 +102,7 @@ impl Plan {
     }
 }
 
-/// Tells of which units a plan is.
+/// Reports the units of a plan.
 fn tell_plan(plan: &Units, folder: &Path, report: &mut Report) {
     if let Some(why) = plan.undivided() {
         report.warn(format!("one unit writes the model: {why}"));
@@ -129,13 +133,15 @@ fn tell_plan(plan: &Units, folder: &Path, report: &mut Report) {
     }
 }
 
-/// Do a unit of a plan; what is there already is not done again
+/// Do one unit of a plan
+///
+/// A unit that is done already is not done again.
 #[derive(Args)]
 pub struct Unit {
-    /// The plan's folder
+    /// Folder of the plan
     #[arg(value_name = "DIR")]
     plan: PathBuf,
-    /// The unit's number
+    /// Number of the unit, from 0 on
     #[arg(value_name = "N")]
     number: usize,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `simod plugin`: what deformation tools there are.
+//! `simod plugin`: the list of deformation tools, their parameters, checks, and new ones.
 
 use clap::Subcommand;
 use serde_json::json;
@@ -24,9 +24,9 @@ pub enum Plugin {
         #[command(flatten)]
         plugins: PluginArgs,
     },
-    /// Show a plugin's parameters
+    /// Show a plugin, its inputs and its parameters
     Info {
-        /// The plugin's id, as `warp`
+        /// Id of the plugin, as `warp`
         id: String,
         #[command(flatten)]
         plugins: PluginArgs,
@@ -39,7 +39,7 @@ pub enum Plugin {
 }
 
 impl Plugin {
-    /// Whether it is this program once more, at work for another process of it.
+    /// Whether the command is this program once more, at work for another process of the program.
     pub fn is_worker(&self) -> bool {
         matches!(self, Self::Serve(_))
     }
@@ -111,7 +111,7 @@ fn info(plugin: &Loaded, report: &mut Report) {
     report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());
 }
 
-/// What a plugin takes, and what it can.
+/// Reports the inputs that a plugin takes, and its capabilities.
 fn tell_needs(plugin: &Loaded, report: &mut Report) {
     let consumes = plugin.consumes();
     let mut needs = Vec::new();
@@ -159,12 +159,12 @@ fn tell_needs(plugin: &Loaded, report: &mut Report) {
     report.line(format!("takes {needs}"));
 }
 
-/// The plugin's parameters, group by group, and what they were once called.
+/// Reports the plugin's parameters, group by group, and their former names.
 fn tell_params(plugin: &Loaded, report: &mut Report) {
     let mut group = String::new();
     for param in simod_session::describe_params(plugin.params()) {
         if param.group != group {
-            // What stands in no group after one that does is told apart as well.
+            // A parameter in no group that comes after a group is set apart as well.
             let title = if param.group.is_empty() { "others" } else { param.group.as_str() };
             report.line(format!("  {title}:"));
             group.clone_from(&param.group);

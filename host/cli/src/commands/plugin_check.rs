@@ -18,18 +18,18 @@ use simod_session::child::{self, End};
 /// Check that a plugin keeps the rules: edge cases, crashes, hangs, wrong results
 #[derive(Args)]
 pub struct Check {
-    /// A library's file, or the id of a plugin that is found
+    /// File of a library, or id of a plugin that is found
     plugin: String,
-    /// Check this rule alone (may be given several times)
+    /// Id of a rule to check, instead of all (may be given several times)
     #[arg(long, value_name = "ID", value_parser = parse_rule)]
     rule: Vec<&'static Rule>,
-    /// Determines all that is random
+    /// Seed of all that is random: the same one checks the same
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// How long a rule may take
+    /// Time that a rule may take, in seconds
     #[arg(long, value_name = "SECONDS", default_value = "60", value_parser = parse_seconds)]
     time_limit: Duration,
-    /// How much memory a rule may take (on Linux)
+    /// Memory that a rule may take, as 4G (on Linux)
     #[arg(long, value_name = "SIZE", default_value = "4G", value_parser = parse_bytes)]
     memory_limit: u64,
 }
@@ -38,18 +38,18 @@ pub struct Check {
 #[derive(Args)]
 #[command(hide = true)]
 pub struct CheckRule {
-    /// The library
+    /// Library of the plugin
     file: PathBuf,
-    /// The rule's id
+    /// Id of the rule
     #[arg(value_parser = parse_rule)]
     rule: &'static Rule,
-    /// Determines all that is random
+    /// Seed of all that is random: the same one checks the same
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// How much memory this process may take (on Linux)
+    /// Memory that this process may take (on Linux)
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
-    /// End with the process of this number, which started this one
+    /// Number of the process that started this one, which ends with it
     #[arg(long, value_name = "N")]
     parent: Option<u32>,
 }
@@ -58,7 +58,7 @@ fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
     simod_check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
 }
 
-/// What became of a rule.
+/// Result of a rule.
 struct RuleResult {
     rule: &'static Rule,
     finding: Finding,
@@ -116,7 +116,7 @@ impl Check {
             plugins.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
             return Ok(plugin.path().to_owned());
         }
-        // A pipe would be waited for.
+        // A pipe would be waited for, so it is refused here.
         input::open(path)?;
         // The dynamic linker would look for a bare name elsewhere.
         path.canonicalize().map_err(|e| Error::io("read", path, &e))
@@ -193,13 +193,14 @@ impl Check {
         })
     }
 
-    /// What checks one rule again.
+    /// Command line that checks one rule again.
     fn again(&self, file: &Path, rule: &Rule) -> String {
         format!("simod plugin check {} --rule {} --seed {}", file.display(), rule.id, self.seed)
     }
 }
 
-/// What a process says about its rule, where it says anything sensible. A plugin may have printed before.
+/// Finding that a process printed about its rule, if its last line is one. The plugin may have printed
+/// before.
 fn answer(rule: &Rule, output: &str) -> Option<Finding> {
     let value: Value = serde_json::from_str(output.lines().last()?).ok()?;
     if value.get("rule")? != rule.id {

@@ -1,4 +1,4 @@
-//! `simod plugin migrate`: a session as the plugins of today have it.
+//! `simod plugin migrate`: a session with the parameters that its plugins have today.
 
 use std::path::PathBuf;
 
@@ -21,9 +21,9 @@ use crate::report::Report;
 /// stay.
 #[derive(Args)]
 pub struct Migrate {
-    /// The session
+    /// Session file
     session: PathBuf,
-    /// The session to write
+    /// File to write the session to
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -45,12 +45,12 @@ impl Migrate {
         let notes = plugins.migrate(&mut session.steps)?;
         for step in &session.steps {
             if let Some(deformation) = step.deformation() {
-                // What is not there cannot be asked.
+                // A plugin that is not there cannot say how its parameters changed.
                 plugins.get(&deformation.deform)?;
             }
         }
-        // A session names files as seen from its folder, which that of a descriptor, as `/dev/stdout`, is
-        // not.
+        // A session names files relative to its folder, which the folder of a descriptor, as `/dev/stdout`,
+        // is not.
         let place = if self.output.starts_with("/dev") || self.output.starts_with("/proc") {
             canonical_target(&self.output)?
         } else {

@@ -21,22 +21,24 @@ use crate::report::Report;
 /// Begin a plugin of your own: a project in Rust or C that builds, tests itself and works
 #[derive(Args)]
 pub struct New {
-    /// The plugin's name, in kebab-case, as `soft-bulge`: its id in sessions, and the project's folder
+    /// Name of the plugin in kebab-case, as `soft-bulge`
+    ///
+    /// It is the plugin's id in sessions, and the name of the project's folder.
     name: String,
-    /// The folder to make the project's folder in (default: the current one)
+    /// Folder to make the project's folder in [default: the current one]
     #[arg(long, value_name = "DIR")]
     path: Option<PathBuf>,
-    /// The language to write it in
+    /// Programming language of the plugin
     #[arg(long, value_enum, default_value_t = Language::Rust)]
     lang: Language,
 }
 
-/// What a plugin is written in.
+/// Programming language of a plugin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Language {
-    /// Rust, with the interface's crate
+    /// Rust, with the crate of the interface
     Rust,
-    /// C, with its header; for C++ too
+    /// C, with the header of the interface; also for C++
     C,
 }
 
@@ -91,7 +93,7 @@ const INTERFACE: [(&str, &str); 16] = [
     ("services.rs", include_str!("../../../../plugin-api/src/services.rs")),
 ];
 
-/// The sources of its derives.
+/// The sources of the interface's derives.
 const DERIVE: [(&str, &str); 5] = [
     ("choice.rs", include_str!("../../../../plugin-api/derive/src/choice.rs")),
     ("lib.rs", include_str!("../../../../plugin-api/derive/src/lib.rs")),
@@ -144,7 +146,7 @@ impl New {
 }
 
 impl Language {
-    /// What builds and checks a project.
+    /// Commands that build and check a project.
     fn commands(self, names: &PluginNames) -> [String; 2] {
         match self {
             Self::Rust => {
@@ -165,17 +167,17 @@ impl Language {
     }
 }
 
-/// What is called after the plugin.
+/// Names that are made of the plugin's.
 struct PluginNames {
     /// `soft-bulge`: the id, the package and the folder.
     id: String,
-    /// `Soft bulge`: what the user reads.
+    /// `Soft bulge`: the title that the user reads.
     title: String,
     /// `SoftBulge`.
     type_name: String,
-    /// `target/release/libsoft_bulge.so`, or as the system has it.
+    /// `target/release/libsoft_bulge.so`, or as the system names libraries.
     library: String,
-    /// `build/libsoft_bulge.so`, or as the system has it.
+    /// `build/libsoft_bulge.so`, or as the system names libraries.
     c_library: String,
 }
 
@@ -227,8 +229,8 @@ fn capitalised(word: &str) -> String {
     letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
 }
 
-/// Whether the interface or the project uses a type's name, or may: its own would hide it. Says so too often
-/// rather than too rarely.
+/// Whether a type's name occurs in the interface or the project, whose own type would be hidden by it. The
+/// answer is yes too often rather than too rarely.
 fn is_known(type_name: &str) -> bool {
     let has_it = |text: &str| text.split(|c: char| !c.is_alphanumeric()).any(|word| word == type_name);
     PROJECT.iter().chain(&INTERFACE).any(|(_, text)| has_it(text))
@@ -250,7 +252,7 @@ fn write_project(folder: &Path, names: &PluginNames, language: Language) -> Resu
         return Err(Error::argument(what, hint));
     }
     let new = OutputFolder::create(folder)?;
-    // What fails is told of the folder that was asked for, not of its temporary name.
+    // Errors name the folder that was asked for, not its temporary name.
     let write = |path: String, text: &str| {
         write_file(&new.path().join(path), text.as_bytes()).map_err(|e| new.named(e))
     };
@@ -259,7 +261,7 @@ fn write_project(folder: &Path, names: &PluginNames, language: Language) -> Resu
         write(path, &names.fill_in(text))?;
     }
     if is_there {
-        // Refused where something came into it meanwhile.
+        // The removal fails if something came into the folder meanwhile.
         fs::remove_dir(folder).map_err(|e| failed(&e))?;
     }
     new.commit()
@@ -332,7 +334,7 @@ mod tests {
         let names = PluginNames::from_name("soft-bulge").unwrap();
         let words = ["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__", "__LIBRARY_NAME__"];
         for (path, text) in Language::Rust.files().chain(Language::C.files()) {
-            // The interface has words of its own.
+            // The interface's files have such words of their own.
             let is_ours = !path.starts_with("simod-plugin-api/");
             let text = names.fill_in(text);
             assert!(!is_ours || !words.iter().any(|w| text.contains(w)), "{path}");
@@ -349,7 +351,7 @@ mod tests {
         assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
 
-    /// What `docs/plugins.md` has in C is of the project's plugin, or of the lesson's.
+    /// All C code in `docs/plugins.md` is of the project's plugin, or of the lesson's.
     #[test]
     fn the_documentation_shows_c_as_it_is() {
         let (_, plugin) = C_PROJECT.iter().find(|(path, _)| *path == "plugin.c").unwrap();

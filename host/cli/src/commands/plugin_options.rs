@@ -1,4 +1,4 @@
-//! How commands look for plugins and run them.
+//! Options on the look-up and the running of plugins.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -15,33 +15,34 @@ use crate::report::Report;
 #[derive(Args)]
 #[command(next_help_heading = "Plugins")]
 pub struct PluginArgs {
-    /// Use this plugin's library, whatever others of its id there are (may be given several times)
+    /// Library of a plugin to use instead of others of its id (may be given several times)
     #[arg(long, value_name = "FILE")]
     r#use: Vec<PathBuf>,
-    /// Which plugins run in processes of their own, where a crash does no harm. It is no protection from a
-    /// plugin that means harm: wherever it runs, it has your rights
+    /// Plugins that run in processes of their own, where a crash does no harm
+    ///
+    /// It is no protection from a plugin that means harm: wherever it runs, it has your rights.
     #[arg(long, value_enum, default_value_t)]
     isolate: Isolate,
-    /// How long a plugin in a process of its own may give no sign of life
+    /// Time that a plugin in a process of its own may give no sign of life, in seconds
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = parse_seconds)]
     plugin_patience: Duration,
-    /// How much memory a plugin in a process of its own may take (on Linux)
+    /// Memory that a plugin in a process of its own may take, as 4G (on Linux)
     #[arg(long, value_name = "SIZE", default_value = "4G", value_parser = parse_bytes)]
     plugin_memory: u64,
 }
 
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum Isolate {
-    /// Those that did not come with the program
+    /// Plugins that did not come with the program
     #[default]
     Others,
-    /// All of them
+    /// All plugins
     Always,
-    /// None
+    /// No plugin
     Never,
 }
 
-/// What is the default on the command line.
+/// The values that the command line has by default.
 impl Default for PluginArgs {
     fn default() -> Self {
         Self {
@@ -59,7 +60,7 @@ impl PluginArgs {
         &self.r#use
     }
 
-    /// These options, with libraries to use where none were chosen.
+    /// The same options, with libraries to use where none were chosen.
     pub fn or_chosen(mut self, files: &[PathBuf]) -> Self {
         if self.r#use.is_empty() {
             self.r#use = files.to_owned();
@@ -67,15 +68,15 @@ impl PluginArgs {
         self
     }
 
-    /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what
-    /// anybody may change.
+    /// Finds the plugins in the standard folders, and reports those that cannot be used, that take long to
+    /// load, and that anybody may change.
     pub fn discover(self, report: &mut Report) -> Result<PluginRegistry> {
         let isolation = match self.isolate {
             Isolate::Others => Isolation::Others,
             Isolate::Always => Isolation::Always,
             Isolate::Never => Isolation::Never,
         };
-        // This program once more, however it is called now.
+        // Workers are this program once more, whatever its present name is.
         let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
         let (silence, memory) = (self.plugin_patience, self.plugin_memory);
         let worker = WorkerOptions { silence, memory, ..WorkerOptions::for_program(&program) };
@@ -105,11 +106,11 @@ impl PluginArgs {
 #[derive(Args)]
 #[command(hide = true)]
 pub struct Serve {
-    /// The library
+    /// Library of the plugin
     file: PathBuf,
-    /// How much memory this process may take, in bytes
+    /// Memory that this process may take, in bytes
     memory: u64,
-    /// The number of the process that started it
+    /// Number of the process that started this one
     parent: u32,
 }
 

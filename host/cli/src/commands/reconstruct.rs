@@ -24,51 +24,63 @@ use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
 
-/// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
+/// Stream the deformation of the samples onto every vertex of the model
+///
+/// Several deformations at once give a deformed model each.
 #[derive(Args)]
 pub struct Reconstruct {
-    /// The sampled model
+    /// Folder of the sampled model
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program.
-    /// Several files, or a pattern as 'frame-*.ply', give a model each
+    /// Deformed samples: samples.ply with other positions, from `simod deform` or any program
+    ///
+    /// Several files, or a pattern such as 'frame-*.ply', give a deformed model each.
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write: in the format of the model, or in another one that its extension says
-    /// (those of `simod convert`); of a model that is made of tiles a folder, for as many files of the same
-    /// names. {} in it stands for what the * of --deformed matched, or for a file's name without its ending
+    /// File to write the deformed model to; its extension says the format
+    ///
+    /// Formats: that of the model, and those that `simod convert` writes. For a model of several tiles it is
+    /// a folder, for as many files of the same names. {} in the name stands for what the * of --deformed
+    /// matched, or for a file's name without its extension.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its
-    /// displacement, the largest and the smallest stretch of the surface, whether it is folded (turned inside
-    /// out), and how far it is probably off (`expected_error`, in the model's unit, and
-    /// `expected_error_fraction`, of the diagonal). {} as in -o; not with --resume
+    /// PLY file to write as well, with figures for each vertex; not with --resume
+    ///
+    /// The figures are for viewers of scalar fields: the new position, the displacement, the largest and the
+    /// smallest stretch of the surface, whether it is folded (turned inside out), and the expected error
+    /// (`expected_error`, in the model's unit, and `expected_error_fraction`, of the diagonal). {} in the
+    /// name stands for what it does in -o.
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
-    /// Write nothing if any vertex is expected to be off by more: a fraction of the diagonal, or with the
-    /// suffix u a length in the model's unit, as 0.002u
+    /// Largest expected error of a vertex at which the model is written, as 1e-4 or 0.002u
+    ///
+    /// A number is a fraction of the diagonal of the bounding box; with the suffix u it is a length in the
+    /// model's unit. Nothing is written if any vertex is expected to have a larger error.
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// The model that was sampled, if it was moved since
+    /// Model that was sampled, if its file has moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// How to transfer the deformation
+    /// Method by which the deformation goes from the samples to the vertices
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
-    /// What becomes of the model's normals
+    /// Normals of the deformed model
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    /// Offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is
-    /// done
+    /// Continue what an interrupted run of this command left
+    ///
+    /// With it, Ctrl-C and a full disk keep what is done.
     #[arg(long)]
     resume: bool,
-    /// How much of the model is lost at most when a run is killed; for tests
+    /// Size of the part of the model that is lost at most when a run is killed; for tests
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, default_value_t = PART_BYTES, hide = true)]
     part_size: u64,
-    /// Write another format than the model's even where it cannot hold all
+    /// Write a format that cannot hold all that the model has
+    ///
+    /// Without it, that is an error, which lists what would be lost.
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]
@@ -77,15 +89,15 @@ pub struct Reconstruct {
     overwrite: Overwrite,
 }
 
-/// What becomes of normals.
+/// Treatment of the model's normals.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum NormalsName {
-    /// They keep their bytes
+    /// Keep the bytes of the model's normals
     Keep,
-    /// They turn with the surface
+    /// Turn the model's normals with the surface
     #[default]
     Transform,
-    /// They are left out
+    /// Leave the normals out
     Drop,
 }
 
@@ -99,13 +111,13 @@ impl From<NormalsName> for Normals {
     }
 }
 
-/// What becomes of the offset of positions.
+/// Treatment of the offset of positions that are stored as integers.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum OffsetName {
-    /// It stays; what moves beyond the integers is an error
+    /// Keep the model's offset; a vertex that moves beyond the integers is an error
     #[default]
     Keep,
-    /// Another one is chosen, by whole steps, where the samples move beyond the integers: all of them are
+    /// Choose another offset, by whole steps, where samples move beyond the integers; all positions are
     /// written anew then
     Auto,
 }
@@ -113,9 +125,9 @@ pub enum OffsetName {
 /// The methods of the reconstruction.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub enum MethodName {
-    /// The paper's: an offset along the normal over a projected triangle of samples
+    /// Offset along the normal over a projected triangle of samples, as in the paper
     ProjectedBarycentric,
-    /// A blend of second-order expansions around the nearest samples
+    /// Blend of second-order expansions around the nearest samples
     #[default]
     BlendedJets,
 }
@@ -167,7 +179,7 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// Nothing that is read is written over.
+    /// Checks that nothing that is read is written over.
     fn check_paths(&self, paths: &[VersionPaths], sampled: &SampledModel) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
@@ -183,7 +195,8 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// The model, as it is to be written: with what turns, the offset and the format that were asked for.
+    /// Opens the model as it is to be written: with the attributes that turn, the offset and the format
+    /// that were asked for.
     fn open_model(
         &self,
         sampled: &SampledModel,
@@ -210,7 +223,7 @@ impl Reconstruct {
         Ok(model)
     }
 
-    /// What was written, and what there is to know of it.
+    /// Reports the outputs, and their figures.
     fn tell(
         &self,
         done: &Reconstructed,
@@ -243,7 +256,8 @@ impl Reconstruct {
 }
 
 impl Reconstruct {
-    /// An error where any vertex of a version is expected to be off by more; what is expected at most.
+    /// Returns an error where any vertex of a version is expected to be off by more than the tolerance;
+    /// otherwise the greatest expected error.
     fn check_tolerance(
         &self,
         tolerance: Tolerance,
@@ -269,7 +283,7 @@ impl Reconstruct {
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let ErrorExcess { worst, rounding, place, samples, needed } = beyond;
-                // What refinement goes by is without rounding.
+                // Refinement goes by the expected error without rounding.
                 let asked = (tolerance.powi(2) - rounding.powi(2)).max(0.0).sqrt().max(0.5 * tolerance);
                 return Err(Error::argument(
                     format!(
@@ -297,7 +311,7 @@ impl Reconstruct {
         Ok(most)
     }
 
-    /// The command that adds samples to come below an error.
+    /// Command that adds samples to come below an error.
     fn refining(&self, paths: &VersionPaths, error: f64) -> String {
         let model =
             self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
@@ -309,7 +323,8 @@ impl Reconstruct {
         )
     }
 
-    /// Says how far the versions are expected to be off, and warns where that is more than will be accepted.
+    /// Reports the expected errors of the versions, and warns where these are larger than a user will
+    /// accept.
     fn describe_expected(
         &self,
         paths: &[VersionPaths],
@@ -344,11 +359,11 @@ impl Reconstruct {
     }
 }
 
-/// A positive number to three digits that is no larger: who meets it meets the number.
+/// Positive number of three digits that is no larger: an error that meets it meets `x`.
 fn rounded_down(x: f64) -> f64 {
     let digits = |x: f64| format!("{x:.2e}").parse().unwrap_or(x);
     let nearest = digits(x);
-    // Three quarters of the last digit less is rounded to the one below.
+    // The number less three quarters of its last digit is rounded to the one below.
     if nearest <= x { nearest } else { digits(x - 0.0075 * 10f64.powf(x.log10().floor())) }
 }
 
@@ -359,14 +374,14 @@ fn quoted(path: &Path) -> String {
     shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }
 
-/// Says what turns with the surface besides normals and tangents.
+/// Reports the attributes that turn with the surface besides normals and tangents.
 pub fn tell_following(model: &dyn Model, report: &mut Report) {
     let Some(following) = model.following() else { return };
     report.line(format!("turning with the surface: {}", following.descriptions().join("; ")));
     report.figure("following", following.descriptions().to_vec());
 }
 
-/// How far vertices are expected to be off, for `--json`.
+/// Expected error of the vertices, for `--json`.
 pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     let mut figures = json!(expected);
     if let Some(beyond) = figures.get_mut("beyond").filter(|beyond| beyond.is_object()) {
@@ -375,7 +390,7 @@ pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
     with_lengths(figures, &["rms", "p999", "worst"], diagonal)
 }
 
-/// Reports how far vertices are expected to be off.
+/// Reports the expected error of the vertices.
 pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
     let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
     report.line(format!(
@@ -385,7 +400,7 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
     ));
 }
 
-/// Warns where more is expected than a user will accept.
+/// Warns where the expected error is larger than a user will accept.
 pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str, report: &mut Report) {
     let ErrorExcess { worst, place, samples, .. } = beyond;
     report.warn(format!(
@@ -400,7 +415,7 @@ pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str,
     ));
 }
 
-/// Says where the versions fold the surface.
+/// Reports the places where the versions fold the surface.
 fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
     let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
     report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());

@@ -21,32 +21,36 @@ use super::sample::parse_bytes;
 use super::tell_cache;
 use crate::report::{Report, count, length};
 
-/// Append more samples to a sampled model where it is selected, down to its vertices if need be
+/// Add samples to a sampled model in chosen places, down to one for each vertex
 #[derive(Args)]
 #[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space", "auto"])))]
 #[command(group(ArgGroup::new("finer").args(["error", "factor", "samples"])))]
 pub struct Refine {
-    /// The sampled model, which takes the new samples unless --into says where else they go
+    /// Folder of the sampled model, which gets the new samples unless --into names another
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// A ball to refine: its centre, in the model's coordinates at rest, and its radius. All shapes that are
-    /// given are united
+    /// Ball to refine: its centre and its radius
+    ///
+    /// Coordinates are those of the model at rest. Balls, boxes and half-spaces may be given several times,
+    /// and are united.
     #[arg(long, value_name = "X,Y,Z,R", value_parser = numbers::<4>, allow_hyphen_values = true)]
     sphere: Vec<[f64; 4]>,
-    /// A box to refine: its least and its greatest coordinates
+    /// Box to refine: its least and its greatest coordinates
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
     boxes: Vec<[f64; 6]>,
-    /// All on one side of a plane: a point on it, and its normal, which points to that side
+    /// Half-space to refine: a point on its plane, and the plane's normal, which points into it
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
-    /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the
-    /// shapes; either --error says how far vertices may probably be off, or --samples how many more samples
-    /// there may be
+    /// Refine where the deformed samples show that the deformation needs it
+    ///
+    /// Shapes restrict it to what lies in them. Either --error says how far vertices may be expected to be
+    /// off, or --samples how many samples may be added.
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
-    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its
-    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5], by at most a quarter more
-    /// samples than there are
+    /// Error bound of each new sample's cluster, as a fraction of the bounding box's diagonal
+    ///
+    /// 0 gives every vertex in the shapes a sample of its own. With --auto, it is the transfer error that is
+    /// allowed [default: 1e-5], and at most a quarter more samples than there are is added.
     #[arg(
         long,
         value_name = "E",
@@ -54,23 +58,26 @@ pub struct Refine {
         required_unless_present_any = ["factor", "samples", "auto"]
     )]
     error: Option<f64>,
-    /// About so many times as many samples there
+    /// Factor by which to multiply the number of samples in the shapes, approximately
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     factor: Option<f64>,
-    /// About so many samples more; with --auto, at most so many [default: a quarter of those that there are]
+    /// Number of samples to add, approximately; with --auto, at most
+    ///
+    /// With --auto, the default is a quarter of the samples that there are.
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
-    /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones
-    /// where the reconstruction takes them
+    /// File of the deformed samples of DIR, from which -o gets those of the refined model
+    ///
+    /// Samples that were there stay as they are; new ones go where the reconstruction takes them.
     #[arg(long, value_name = "FILE", requires = "output")]
     deformed: Option<PathBuf>,
-    /// The deformed samples to write (PLY)
+    /// PLY file to write the deformed samples to
     #[arg(short, long, value_name = "FILE", requires = "deformed")]
     output: Option<PathBuf>,
-    /// The folder to write the refined model to, instead of DIR
+    /// Folder to write the refined model to, instead of DIR
     #[arg(long, value_name = "DIR")]
     into: Option<PathBuf>,
-    /// The model that was sampled, if it was moved since
+    /// Model that was sampled, if its file has moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Memory to stay below, as 500M or 2G [default: a quarter of the machine's, at most 2G]
@@ -93,7 +100,7 @@ impl Refine {
         let how = Refinement { shapes: self.shapes()?, finer: self.finer() };
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
-        // From here on nobody else refines it, or what this one does would be lost.
+        // The claim on the target keeps others from refining it, by which this refinement would be lost.
         let begun = SampledModel::begin(target)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let deformed = self
@@ -106,7 +113,8 @@ impl Refine {
         let progress = report.progress();
         sampled.hold_cells(sampled.cells_or_resample(&self.sampled, self.model.as_deref(), progress)?);
         let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_ref(), progress)?;
-        // First what belongs to the refined model: it would be of no use without, but harms nobody.
+        // The deformed samples of the refined model come first: they would be of no use without it, but do
+        // no harm.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
             progress.begin("deforming the new samples", 0);
             write_deformed(&sampled, done.sampled.as_ref().unwrap_or(&sampled), from, deformed, to)?;
@@ -125,13 +133,13 @@ impl Refine {
         Ok(())
     }
 
-    /// Nothing is replaced that is read.
+    /// Checks that nothing that is read is replaced.
     fn guard(&self, sampled: &SampledModel, model: &dyn Model) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads_all([model.path()].into_iter().chain(model.other_files()));
         guard.reads_all(sampled.source.files());
         if let Some(into) = &self.into {
-            // All else that is read may be replaced in place.
+            // All other files that are read may be replaced in place.
             guard.reads(&self.sampled);
             guard.replaces_folder(into)?;
         }
@@ -151,7 +159,8 @@ impl Refine {
         }
     }
 
-    /// The shapes are meant at rest; what the deformation needs is told by the deformed samples.
+    /// Refines the samples. The shapes are meant at rest; the deformed samples tell where the deformation
+    /// needs more.
     fn refined(
         &self,
         how: &Refinement,
@@ -205,7 +214,7 @@ fn write_deformed(
     refined.write_more_deformed(to, from, &more, &normals)
 }
 
-/// Tells what was read, and what came of it.
+/// Reports the vertices that were read, and the samples that were added.
 fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &Refined, target: &Path) {
     let samples = done.sampled.as_ref().unwrap_or(sampled).samples.len();
     let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
@@ -243,7 +252,7 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
     ));
 }
 
-/// Tells how far vertices are expected to be off.
+/// Reports the expected error of the vertices.
 fn tell_need(report: &mut Report, need: &SamplesNeed, lengths: &mut Value, diagonal: f64) {
     for (name, fraction) in [("expected", need.expected), ("allowed", need.allowed)] {
         let name = format!("{name}_transfer_error");

@@ -21,38 +21,41 @@ use crate::report::Report;
 /// Draw a model, or the samples of a sampled model, as a PNG picture
 #[derive(Args)]
 pub struct Render {
-    /// A model, or the folder of a sampled one
+    /// Model, or folder of a sampled model
     #[arg(value_name = "MODEL|DIR")]
     path: PathBuf,
-    /// The PNG file to write, or with --turntable the folder of PNG files
+    /// PNG file to write, or with --turntable the folder of PNG files
     #[arg(short, long, value_name = "FILE|DIR")]
     output: PathBuf,
-    /// Draw so many frames of a full turn, into a folder
+    /// Number of frames of a full turn to draw, into a folder
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(FrameFolder::MOST)))]
     turntable: Option<u32>,
-    /// Turn the camera about the vertical axis, in degrees
+    /// Angle of the camera about the vertical axis, in degrees
     #[arg(long, default_value_t = 25.0, allow_negative_numbers = true)]
     yaw: f64,
-    /// Look down, in degrees
+    /// Angle by which the camera looks down, in degrees
     #[arg(long, default_value_t = 12.0, allow_negative_numbers = true)]
     pitch: f64,
-    /// The model's axis that points up
+    /// Axis of the model that points up
     #[arg(long, value_enum, default_value_t)]
     up: UpName,
-    /// What it is coloured by: own (the vertices' colours, those of splats from all sides), clay, or an
-    /// attribute, as intensity [default: own, where there are colours]
+    /// Colours: own, clay, or an attribute, as intensity [default: own, where there are colours]
+    ///
+    /// `own` stands for the vertices' colours, those of splats from all sides; `clay` for one colour.
     #[arg(long, visible_alias = "color-by", value_name = "WHAT")]
     color: Option<String>,
-    /// Draw vertices, or samples, alone, though there are faces
+    /// Draw vertices, or samples, without the faces between them
     #[arg(long)]
     points: bool,
-    /// Look at this point of the model
+    /// Point of the model to look at, as 0.5,1,-2 [default: the model's middle]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     target: Option<DVec3>,
-    /// Show this part of the picture's width and height around the target: 0.1 is ten times as large
+    /// Part of the picture's width and height to show, from 0.001 to 1; 0.1 enlarges it ten times
+    ///
+    /// The part is around the target.
     #[arg(long, default_value_t = 1.0, value_name = "PART", value_parser = parse_part)]
     crop: f64,
-    /// Size of the picture in pixels
+    /// Width and height of the picture, in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
     #[command(flatten)]
@@ -103,7 +106,7 @@ fn parse_part(text: &str) -> std::result::Result<f64, String> {
 
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        // What is in the way is told before the model is read.
+        // Obstacles to the output are reported before the model is read.
         let mut guard = self.overwrite.guard();
         guard.reads(&self.path);
         match self.turntable {
@@ -134,14 +137,14 @@ impl Render {
         Ok(())
     }
 
-    /// From where it is seen.
+    /// View of the picture.
     fn view(&self, bounds: Bounds) -> PictureView {
         let crop = Crop { around: self.target, part: self.crop };
         let Self { yaw, pitch, size, up, .. } = *self;
         PictureView { bounds, yaw, pitch, size, up: up.into(), crop }
     }
 
-    /// The samples of a folder, from one side or from all around.
+    /// Draws the samples of a folder, from one side or from all around.
     fn draw_samples(&self, take: &mut dyn FnMut(&Image) -> Result<()>, report: &mut Report) -> Result<()> {
         let sampled = SampledModel::load(&self.path)?;
         let (samples, view) = (&sampled.samples, self.view(sampled.bounds));
@@ -192,7 +195,7 @@ impl Render {
         }
     }
 
-    /// What samples are coloured by, and their colours, unless all are alike.
+    /// Attribute by which samples are coloured, and their colours, unless all are alike.
     fn of_samples(
         &self,
         sampled: &SampledModel,
@@ -216,7 +219,7 @@ impl Render {
     }
 }
 
-/// Says what a picture is coloured by, and what the ends of its legend stand for.
+/// Reports by what a picture is coloured, and the numbers at the ends of its legend.
 fn tell_colors(paint: &Paint, is_colored: bool, report: &mut Report) {
     let (name, range) = match paint.legend() {
         Some((name, range)) => (name, Some(range)),

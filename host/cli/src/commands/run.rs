@@ -23,46 +23,54 @@ use crate::report::{Report, count, errors, length, rate, with_lengths};
 /// Do a whole session: sample its model, deform the samples, write the deformed model
 #[derive(Args)]
 pub struct Run {
-    /// The session
+    /// Session file
     session: PathBuf,
-    /// The deformed model to write, instead of the session's own output; of a model that is made of tiles a
-    /// folder
+    /// File to write the deformed model to, instead of the session's own output
+    ///
+    /// For a model of several tiles it is a folder.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// The model, if it is not where the session says
+    /// Model to deform, if it is not where the session says
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// How to transfer the deformation
+    /// Method by which the deformation goes from the samples to the vertices
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
-    /// What becomes of the model's normals
+    /// Normals of the deformed model
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// Compare the result with the exact deformation of every vertex; refused, naming the step, where one
-    /// deforms samples only
+    /// Compare the result with the exact deformation of every vertex
+    ///
+    /// Where a step deforms samples only, this is refused, and the step is named.
     #[arg(long)]
     measure: bool,
-    /// Evaluate all steps at every vertex, and transfer nothing: the reference, at its cost, which is told
-    /// beforehand. Refused, naming the step, where one deforms samples only
+    /// Evaluate all steps at every vertex, instead of transferring the samples' deformation
+    ///
+    /// The result is the reference, at its cost, which is told beforehand. Where a step deforms samples only,
+    /// this is refused, and the step is named.
     #[arg(long, conflicts_with = "tolerance")]
     exact: bool,
-    /// Add samples, which the plugins deform as well, until no vertex is expected to be off by more: a
-    /// fraction of the diagonal, or with the suffix u a length in the model's unit, as 0.002u. Where that
-    /// cannot be met, nothing is written, and the reason is told
+    /// Largest expected error of a vertex, as 1e-4 or 0.002u; samples are added to meet it
+    ///
+    /// A number is a fraction of the diagonal of the bounding box; with the suffix u it is a length in the
+    /// model's unit. The plugins deform the added samples as well. If it cannot be met, nothing is written,
+    /// and the reason is told.
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    /// Offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Leave Gaussian splats of less opacity out of the samples, as `simod sample --min-opacity` does;
-    /// instead of the session's `min-opacity`
+    /// Least opacity of the Gaussian splats that are sampled, instead of the session's
+    ///
+    /// It means what `simod sample --min-opacity` does.
     #[arg(long, value_name = "A")]
     min_opacity: Option<f64>,
-    /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
+    /// PLY file to write as well, with the figures of `simod reconstruct --diagnostics`
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
-    /// Write another format than the model's, which the output's extension says, even where it cannot hold
-    /// all
+    /// Write a format that cannot hold all that the model has
+    ///
+    /// The output's extension says the format. Without it, that is an error, which lists what would be lost.
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]
@@ -114,7 +122,7 @@ impl Run {
     }
 }
 
-/// Tells what a session came to.
+/// Reports the result of a session.
 fn tell_run(run: &Pipeline, measure: bool, progress: &dyn Progress, report: &mut Report) -> Result<()> {
     describe(run, report);
     tell_cache(run.deformed.sampled.cache(), report);
@@ -159,14 +167,14 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
         count(samples as u64),
         rate(vertices, run.seconds)
     ));
-    // Here, before anything is measured or drawn, which is not part of an edit.
+    // The peak is taken before anything is measured or drawn, as that is not part of an edit.
     if let Some(peak) = report.peak_memory() {
         report.figure("run_peak_memory_bytes", peak);
         report.line(format!("peak memory of the edit {} MB", peak.div_ceil(1 << 20)));
     }
 }
 
-/// Reports what every vertex' evaluation was expected to take.
+/// Reports the expected cost of evaluating every vertex.
 fn describe_cost(cost: &ExactCost, report: &mut Report) {
     report.figure("exact", json!({"evaluations": cost.evaluations, "expected_seconds": cost.seconds}));
     report.line(format!(
@@ -176,7 +184,7 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
     ));
 }
 
-/// Reports that a tolerance is met, and what tells so.
+/// Reports that a tolerance is met, and by which figures.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
     let Certificate { tolerance, expected, added, rounds, sampled_anew, truth } = certificate;
     let true_error = truth.map(|t| {
@@ -213,7 +221,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
     });
 }
 
-/// Reports how far a run is from the exact deformation.
+/// Reports the distances of a run from the exact deformation.
 pub fn describe_error(error: &TransferError, diagonal: f64, report: &mut Report) {
     report.line(format!("transfer error: {}", errors([error.rms, error.p999, error.max], diagonal)));
     report.figure(

@@ -13,107 +13,118 @@ use simod_session::session_file::SamplingTable;
 use super::{tell_cache, tell_transparent, warn_non_finite};
 use crate::report::{Report, count, rate};
 
-/// Stream a model to a small point set that any tool can deform
+/// Stream a model to samples of it, a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns.
-    /// Several files, or a pattern as 'tiles/*.laz', are one model of as many tiles
+    /// Model to sample: a file, several files, or a pattern such as 'tiles/*.laz'
+    ///
+    /// Formats: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, and text in columns. Several files,
+    /// or all that match the pattern, are the tiles of one model.
     #[arg(required = true)]
     model: Vec<PathBuf>,
-    /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
+    /// Columns of a text file, as x,y,z,_,nx,ny,nz [default: names in its first line, or x,y,z]
+    ///
+    /// `_` stands for a column that is neither a position nor a normal.
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
-    /// The folder to write
+    /// Folder to write the sampled model to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
     sampling: SamplingArguments,
 }
 
-/// How fine P_S shall be.
+/// Options on the number of the samples, their places and their parts.
 #[derive(Args)]
 pub struct SamplingArguments {
     /// Number of samples [default: 100000]
     #[arg(long, value_name = "N", conflicts_with = "error")]
     samples: Option<u64>,
-    /// Error bound of a sample's cluster, as a fraction of the bounding box diagonal
+    /// Error bound of each sample's cluster, as a fraction of the bounding box's diagonal
+    ///
+    /// There are as many samples as it needs, instead of --samples: a smaller bound gives more.
     #[arg(long, value_name = "E")]
     error: Option<f64>,
-    /// Most cells of the coarse grid along an axis [default: 16 to 512, by the model's size]
+    /// Largest number of the coarse grid's cells along an axis [default: 16 to 512]
+    ///
+    /// The default follows from the number of vertices, and from that of the samples.
     #[arg(long, value_name = "R")]
     grid: Option<u32>,
-    /// Memory to stay below, as 500M or 2G; beyond it samples wait in a temporary file beside the output
-    /// [default: a quarter of the machine's, at most 2G, of which vertices that wait take at most 64M]
+    /// Memory to stay below, as 500M or 2G [default: a quarter of the machine's, at most 2G]
+    ///
+    /// Vertices that find no room in it wait in a temporary file beside the output. By default, waiting
+    /// vertices take at most 64M of it.
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
-    /// How clusters are split: in space and then in their plane, or in space alone
+    /// Tree by which clusters are split
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: TreeKind,
-    /// What samples are spread by: the `error` of their clusters, so that more are where the surface bends;
-    /// `area`, as far apart everywhere; or `vertices`, the error beside the distance between vertices, so
-    /// that finer parts get finer samples
+    /// Measure by which samples are spread
     #[arg(long, value_enum, default_value_t, value_name = "WHAT")]
     by: SpreadBy,
-    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are
-    /// nearer to the surface, and less even; unless given, faces where vertices have no normals, or not those
-    /// of the surface
+    /// Rule by which a sample is placed in its cluster
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: PlacementRule,
-    /// Leave Gaussian splats of less opacity out of the samples, as floaters, and large and far ones of up to
-    /// 0.5; they are deformed all the same [default: 0.1; 0 takes all]
+    /// Least opacity of the Gaussian splats that are sampled [default: 0.1; 0 takes all]
+    ///
+    /// Fainter splats, as floaters, and large and far ones of an opacity up to 0.5 get no samples. They are
+    /// deformed all the same.
     #[arg(long, value_name = "A")]
     min_opacity: Option<f64>,
-    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be
-    /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch,
-    /// `colors` of the samples
+    /// Parts of the sampled model to leave out, with commas between them
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<SkippedPart>,
-    /// The default; once it had to be asked for
+    /// Former option, which is the default now
     #[arg(long = "sheets", hide = true)]
     _sheets: bool,
 }
 
-/// How clusters are split.
+/// Kind of tree by which clusters are split.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum TreeKind {
-    /// Octree, then quadtree (VS-Tree)
+    /// Octree, then quadtrees in the planes of the surface (VS-Tree)
     #[default]
     Vs,
-    /// Octree alone
+    /// Octree, which splits in space alone
     Octree,
 }
 
-/// What samples are spread by.
+/// Measure by which samples are spread.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum SpreadBy {
-    /// Error of clusters
+    /// Error of the clusters, so that more samples are where the surface bends
     #[default]
     Error,
-    /// Reach of clusters
+    /// Size of the clusters, so that samples are as far apart everywhere
     Area,
-    /// Error of clusters beside the distance between vertices
+    /// Error of the clusters beside the distance between vertices, so that finer parts get finer samples
     Vertices,
 }
 
-/// What places samples.
+/// Rule by which samples are placed.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum PlacementRule {
-    /// Faces where normals do not tell where the surface is
+    /// Faces, if the vertices have no normals or not those of the surface, otherwise vertices
     #[default]
     Automatic,
-    /// Planes of faces
+    /// Planes of the model's faces: samples are nearer to the surface, and less even
     Faces,
-    /// Vertices, with their normals
+    /// Vertices of the cluster, with their normals
     Vertices,
 }
 
 /// Parts of a sampled model.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SkippedPart {
+    /// Triangles of the samples
     Triangles,
+    /// Cells with their trees, by which `simod refine` need not sample the model anew
     Cells,
+    /// Normals of the samples, where they would be estimated
     Normals,
+    /// Sheets, by which the model's faces tell apart parts that touch
     Sheets,
+    /// Colours of the samples
     Colors,
 }
 
@@ -153,7 +164,7 @@ impl SamplingArguments {
         }
     }
 
-    /// What a session's table of the sampling would say.
+    /// Table of the sampling as a session would have it.
     fn table(&self) -> SamplingTable {
         SamplingTable {
             samples: self.samples,
@@ -214,7 +225,7 @@ impl Sample {
     }
 }
 
-/// The error that was asked for, for people, if one was; and as figures.
+/// Error that was asked for, in words, if one was; the figures go into the report.
 pub(super) fn asked_error(sampled: &SampledModel, report: &mut Report) -> Option<String> {
     let Target::Error(error) = sampled.sampling.target else { return None };
     let diagonal = sampled.bounds.diagonal();
@@ -223,7 +234,7 @@ pub(super) fn asked_error(sampled: &SampledModel, report: &mut Report) -> Option
     Some(format!("an error of {error} of the diagonal ({:.1e} in the model's unit)", error * diagonal))
 }
 
-/// Says which of the model's faces gave no triangles of the samples.
+/// Reports the model's faces that gave no triangles of the samples.
 fn warn_faces(sampled: &SampledModel, report: &mut Report) {
     if sampled.faces_without_vertex > 0 {
         report.warn(format!(

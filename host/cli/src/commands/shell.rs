@@ -1,5 +1,5 @@
-//! `simod completions` and `simod manual`: what shells and `man` know of the program, made of its own
-//! arguments.
+//! `simod completions` and `simod manual`: completions for shells and pages for `man`, made from the
+//! program's own arguments.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,13 +9,13 @@ use clap_complete::Shell;
 use clap_mangen::Man;
 use simod_model::{Error, Result, output};
 
-/// What users call the program.
+/// Name of the program.
 const NAME: &str = "simod";
 
 /// Print completions for a shell
 #[derive(Args)]
 pub struct Completions {
-    /// Which one
+    /// Shell to complete for
     #[arg(value_enum)]
     shell: Shell,
 }
@@ -23,13 +23,13 @@ pub struct Completions {
 /// Write the manual pages, one for each command
 #[derive(Args)]
 pub struct Manual {
-    /// The folder to write them to
+    /// Folder to write the pages to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
 
 impl Completions {
-    /// `program` is all that the program takes.
+    /// Prints the completions. `program` has all arguments of the program.
     pub fn execute(self, mut program: Command) -> Result<()> {
         let mut text = Vec::new();
         clap_complete::generate(self.shell, &mut program, NAME, &mut text);
@@ -39,7 +39,7 @@ impl Completions {
 }
 
 impl Manual {
-    /// `program` is all that the program takes.
+    /// Writes the pages. `program` has all arguments of the program.
     pub fn execute(self, mut program: Command) -> Result<()> {
         std::fs::create_dir_all(&self.output).map_err(|e| Error::io("make the folder", &self.output, &e))?;
         program = program.name(NAME);

@@ -1,4 +1,4 @@
-//! When in a sequence the steps of a session are done.
+//! Options on the time in a sequence for which the steps of a session are done.
 
 use clap::Args;
 use simod_model::{Error, Result};
@@ -7,17 +7,18 @@ use simod_session::session_file::SessionTime;
 /// `--frame` and `--time`.
 #[derive(Args)]
 pub struct TimeOptions {
-    /// The frame of a sequence, for plugins that take the time; instead of the session's `[time]`
+    /// Frame of a sequence, for plugins that take the time, instead of the session's `[time]`
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     frame: Option<i64>,
-    /// Seconds since the sequence's beginning; where not given, by the frame and the session's `rate`, or 24
-    /// frames a second
+    /// Time since the beginning of the sequence, in seconds
+    ///
+    /// [default: the frame, by the session's `rate` or 24 frames per second]
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     time: Option<f64>,
 }
 
 impl TimeOptions {
-    /// A session's time, as far as nothing else was asked for.
+    /// Time of the session, replaced by the options as far as they are given.
     pub fn over(&self, session: SessionTime) -> Result<SessionTime> {
         let asked = self.frame.is_some() || self.time.is_some();
         let time = SessionTime {

@@ -12,7 +12,7 @@ use simod_model::{Error, Result};
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub struct View {
-    /// Whatever `simod-viewer` takes; see `simod view --help`
+    /// Arguments of `simod-viewer`, which `simod view --help` lists
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     arguments: Vec<OsString>,
 }
@@ -20,7 +20,7 @@ pub struct View {
 impl View {
     pub fn execute(self) -> Result<()> {
         let program = format!("simod-viewer{EXE_SUFFIX}");
-        // The one beside this program fits it; otherwise the system looks in its folders.
+        // The viewer beside this program fits it; otherwise the system looks in its folders.
         let beside = std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(&program)));
         let path = beside.filter(|path| path.is_file()).unwrap_or_else(|| PathBuf::from(&program));
         let status = Command::new(&path).args(self.arguments).status().map_err(|e| {

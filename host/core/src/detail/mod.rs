@@ -1,5 +1,5 @@
-//! The model itself where somebody looks: the vertices of some cells are read again and carried over by the
-//! deformation, as many as a picture needs, without writing a file (paper §5 and §6).
+//! Vertices of the model itself where somebody looks: those of some cells are read again and carried over by
+//! the deformation, as many as a picture needs, without writing a file (paper §5 and §6).
 //!
 //! Only the ranges of these cells are read, once. Each cell is handed on when its last vertex came, in
 //! batches that are carried as [`reconstruct`](crate::reconstruction::reconstruct) carries blocks. Where
@@ -25,7 +25,7 @@ use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::normals;
 use thinning::Thinning;
 
-/// So many vertices are enough for most screens: there are hardly more pixels.
+/// Number of vertices that is enough for most screens: there are hardly more pixels.
 pub const ENOUGH: usize = 3_000_000;
 
 /// Vertices of a batch, to which the last of its cells adds its own.
@@ -37,12 +37,12 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// Nowhere, the surface is taken for stretched more than this when discs are to cover it.
 const MOST_STRETCH: f32 = 8.0;
 
-/// The cells to be streamed, how finely, and with what.
+/// Request for vertices of some cells: the cells, the fineness, and the attributes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailRequest {
     /// The cells' places among the kept ones; ascending.
     pub cells: Vec<u32>,
-    /// One of so many vertices is taken: 1 for all.
+    /// Length of the runs of vertices of which one is taken: 1 for all vertices.
     pub stride: u64,
     /// The attributes that come with them.
     pub shown: DetailAttributes,
@@ -51,7 +51,7 @@ pub struct DetailRequest {
 /// The attributes of vertices that come with them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DetailAttributes {
-    /// Nothing.
+    /// No attributes.
     #[default]
     Nothing,
     /// The vertices' own colours.
@@ -61,7 +61,7 @@ pub enum DetailAttributes {
 }
 
 impl DetailAttributes {
-    /// How many of the first attributes have to be read.
+    /// Number of attributes, from the first on, that have to be read.
     fn count(&self) -> usize {
         match self {
             Self::Nothing => 0,
@@ -79,10 +79,10 @@ impl DetailAttributes {
     }
 }
 
-/// What was [asked for](DetailAttributes) of each vertex.
+/// Values that were [asked for](DetailAttributes), one for each vertex.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Values {
-    /// Nothing.
+    /// No values.
     #[default]
     Nothing,
     /// The vertex's colour, 8-bit sRGB.
@@ -104,7 +104,7 @@ impl Values {
         }
     }
 
-    /// Takes some of another's behind its own; where it has none yet, they are of the same sort afterwards.
+    /// Appends a range of another list's values; an empty list becomes one of the same sort.
     pub fn extend(&mut self, other: &Self, range: Range<usize>) {
         match (&mut *self, other) {
             (_, Self::Nothing) => {}
@@ -131,7 +131,7 @@ impl Values {
 pub struct Streamed {
     /// Number of vertices that were handed on ...
     pub vertices: u64,
-    /// ... of so many with a finite position in the cells.
+    /// ... and the number of those with a finite position in the cells.
     pub of: u64,
     /// Bytes of the model that were read.
     pub bytes: u64,
@@ -140,11 +140,10 @@ pub struct Streamed {
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
 /// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
-/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per
-/// cell.
+/// Memory: 32 bytes per vertex, 3 or 4 more for the attribute that is shown, 24 more for splats, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DetailBatch {
-    /// Where the deformation takes them.
+    /// Deformed positions.
     pub positions: Vec<Vec3>,
     /// Unit normals: the model's own, or else estimated at rest, turned by the deformation.
     pub normals: Vec<Vec3>,
@@ -155,7 +154,7 @@ pub struct DetailBatch {
     /// Half axes of splats, as they are drawn: the longer one first, at right angles to each other and to the
     /// normal; zero where nothing is to be seen. Empty where vertices are no splats.
     pub axes: Vec<[Vec3; 2]>,
-    /// What was asked for of their attributes.
+    /// Values of the attributes that were asked for.
     pub values: Values,
     /// The cells, as in [`DetailRequest::cells`], and which vertices are theirs, in the order of the model.
     pub cells: Vec<(u32, Range<u32>)>,
@@ -184,12 +183,12 @@ impl DetailRequest {
         Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: DetailAttributes::Nothing })
     }
 
-    /// This request with something of the vertices' attributes.
+    /// Copy of this request that asks for attributes of the vertices as well.
     pub fn showing(self, shown: DetailAttributes) -> Self {
         Self { shown, ..self }
     }
 
-    /// So many vertices these cells have, and so many of them are taken.
+    /// Number of vertices that these cells have, and of those of them that are taken.
     pub fn vertices(&self, sampled: &SampledModel) -> [u64; 2] {
         let Some(kept) = sampled.held_cells() else { return [0; 2] };
         let of = |cell: &u32| kept.cells.get(*cell as usize).map_or(0, |cell| cell.vertices);
@@ -270,9 +269,9 @@ struct OpenCells<'a> {
     splats: Option<Ellipses>,
     /// Model units of a local one.
     scale: f64,
-    /// What has come of each, in the order in which they were chosen.
+    /// Vertices that came of each cell, in the order in which the cells were chosen.
     open: Vec<CellVertices>,
-    /// Cells of which all has come, until they are handed on, and how many vertices they have.
+    /// Cells of which all vertices have come, until they are handed on, and the number of their vertices.
     complete: Vec<CellVertices>,
     held: usize,
     streamed: Streamed,
@@ -313,13 +312,13 @@ impl<'a> OpenCells<'a> {
         true
     }
 
-    /// Whether all vertices have come.
+    /// Whether all vertices of all chosen cells have come.
     fn are_complete(&self) -> bool {
         self.open.iter().all(|part| part.seen == self.kept.cells[part.cell as usize].vertices)
     }
 }
 
-/// What has come of a cell.
+/// Vertices of one cell that have come so far.
 struct CellVertices {
     cell: u32,
     /// Number of its vertices that came.
@@ -374,10 +373,10 @@ impl JoinedCells {
     }
 }
 
-/// How vertices become a batch.
+/// Inputs from which vertices of the model become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
-    /// How far each sample's cluster reaches.
+    /// Radius of the surface that each sample stands for.
     extents: &'a [f32],
     field: Option<&'a DeformationField<'a>>,
     stride: u64,
@@ -415,7 +414,7 @@ impl Carrying<'_> {
         Ok(batch)
     }
 
-    /// Carries a batch over; where it is at rest, `moved` says in the model's coordinates.
+    /// Carries a batch over; `moved` are the vertices' positions at rest in the model's coordinates.
     fn deform(&self, field: &DeformationField<'_>, mut moved: Vec<DVec3>, batch: &mut DetailBatch) {
         let frame = &self.sampled.frame;
         let DetailBatch { positions, normals, spacing, homes, axes, .. } = batch;

@@ -1,4 +1,4 @@
-//! What is streamed is what a reconstruction writes.
+//! Tests: the vertices that are streamed are those that a reconstruction writes.
 
 use glam::{DVec3, Vec3};
 use simod_model::progress::Silent;

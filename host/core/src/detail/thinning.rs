@@ -26,12 +26,12 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// Takes one vertex of so many.
+    /// Choice of one vertex out of each `stride` ones.
     pub fn new(stride: u64) -> Self {
         Self { stride: stride.max(1) }
     }
 
-    /// Whether the vertex at a place in its cell's `all` is taken.
+    /// Whether the vertex at `place` among the `all` vertices of its cell is taken.
     #[inline]
     pub fn takes(&self, cell: u32, place: u64, all: u64) -> bool {
         if self.stride == 1 {

@@ -1,14 +1,15 @@
-//! The gradient by which what turns needs it: from wider neighbourhoods than expansions have. How far that is
-//! from the expansions' own tells how far these are off across the surface.
+//! Gradients of the deformation by which vectors, splats and other numbers turn, fitted to wider
+//! neighbourhoods than those of the expansions. Their difference from the expansions' own gradients tells the
+//! error of these across the surface.
 //!
-//! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
-//! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and
-//! the second order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is
-//! expanded to fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples
-//! that four links of the graph of neighbours lead to. It goes beyond the affine map, with the ridge that
-//! noise of the size of what is left over asks for (N. Wiener, *Extrapolation, Interpolation, and Smoothing
-//! of Stationary Time Series*, 1949): where samples are not moved by a smooth map of space, the gradients of
-//! the samples' own expansions stand.
+//! A surface tells the change of a map of space across it by the variation of its own bending: the same
+//! gradient across moves a place that bends more by more. Next to a sample that hardly shows, and the second
+//! order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is expanded to
+//! fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples that four
+//! links of the graph of neighbours lead to. The expansion goes beyond the affine map, with the ridge for
+//! noise of the size of the residual (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary
+//! Time Series*, 1949): where samples are not moved by a smooth map of space, the gradients of the samples'
+//! own expansions stand.
 //!
 //! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say,
 //! about 250, of one anchor for about 30 samples; the result takes 144 per sample.
@@ -22,13 +23,13 @@ use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
 use crate::lists::lists;
 
-/// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
+/// Number of links of the graph of neighbours that lead to the samples an anchor is fitted to, at most.
 const LINKS: usize = 4;
 
-/// A sample has a say at those to which so many links lead from it.
+/// Number of links that lead to the samples at which an anchor has a say, at most.
 const HEARD: usize = 3;
 
-/// No other sample that so many links to the nearest neighbours lead to is an anchor.
+/// Number of links to the nearest neighbours, within which no other sample is an anchor.
 const APART: usize = 2;
 
 /// Nearest neighbours of a sample that are looked at.
@@ -69,10 +70,10 @@ const FACTORS: [[usize; ORDER]; TERMS] = {
 /// [`Expansion::second`]), the term that it is a multiple of, or 34 for a constant, and that multiple.
 type Derivative = (usize, usize, usize, f32);
 
-/// As many derivatives along one axis, and as many along two.
+/// Number of derivatives along one axis, and of those along two.
 const DERIVATIVES: usize = 60;
 
-/// Where a pair of axes is in a list of second-order terms.
+/// Place of the term for each pair of axes in a list of second-order terms.
 const PAIRS: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
 /// The derivatives along each axis.
@@ -141,11 +142,12 @@ const fn without(factors: [usize; ORDER], one: usize, other: usize) -> usize {
 /// The least ridge, for each of the weights.
 const LEAST_RIDGE: f64 = 1e-14;
 
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
-/// the affine map leaves over, which both tell little of shear across.
+/// Expected square of the terms of a fit, as a multiple of the squares of the strain and of the residual of
+/// the affine map, which both tell little of shear across.
 const EXPECTED: f64 = 10.0;
 
-/// A fit with fewer degrees of freedom left, as a part of its data, tells nothing.
+/// Least number of degrees of freedom that a fit leaves, as a part of its data's; with less a fit tells
+/// nothing.
 const LEAST_FREE: f64 = 0.3;
 
 /// A gradient that leaves less than this part of the volume, or more than its inverse, is not taken for the
@@ -164,14 +166,14 @@ struct Anchor {
     affine: Mat3,
     /// The terms, in units of the radius; their images are local units.
     terms: [Vec3; TERMS],
-    /// How far its neighbours tell the gradient across, from 0 to 1.
+    /// Part of the gradient across the surface that the anchor's neighbours determine, from 0 to 1.
     trust: f32,
-    /// One over the square of the radius within which it has a say.
+    /// One over the square of the radius within which the anchor has a say.
     inverse_square: f32,
 }
 
-/// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the
-/// surface, and of the second order. `fitted` has the affine maps.
+/// Expansions by whose gradients numbers turn: those of the samples, corrected by the anchors' gradients
+/// across the surface and their second order. `fitted` has the affine maps.
 pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
     let anchors = Anchors::fit(fitted, expansions);
     let positions = &fitted.samples.positions;
@@ -198,20 +200,22 @@ pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
     expansions.par_iter().enumerate().map(told).collect()
 }
 
-/// What anchors tell of the gradient across the surface at a sample.
+/// Gradient across the surface by the anchors, compared with that of a sample's own expansion.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ToldAcross {
-    /// How far the expansion's own is from what they tell.
+    /// Distance of the expansion's own gradient from the anchors' mean.
     apart: f32,
-    /// How far they differ on that: the root of the mean square.
+    /// Root of the mean square by which the anchors differ in that distance.
     spread: f32,
-    /// How far their neighbours tell it, from 0 to 1; 0 where what they tell is not plausible.
+    /// Part of the gradient that the anchors' neighbours determine, from 0 to 1; 0 where the anchors'
+    /// gradient is not plausible.
     trust: f32,
 }
 
 impl ToldAcross {
-    /// How far the expansion's own gradient across is expected to be off, where `guessed` is expected without
-    /// the anchors: by what they tell, as far as they tell it, and agree better than what is guessed.
+    /// Expected error of the expansion's own gradient across the surface, where `guessed` is the one expected
+    /// without the anchors. The anchors count as far as their neighbours determine the gradient, and the
+    /// more, the less they differ from each other beside `guessed`.
     pub fn expected(self, guessed: f32) -> f32 {
         let [apart, spread, guessed] = [self.apart, self.spread, guessed].map(|x| x * x);
         let told = self.trust.powi(4) * guessed / (guessed + spread).max(f32::MIN_POSITIVE);
@@ -219,8 +223,7 @@ impl ToldAcross {
     }
 }
 
-/// What anchors tell across the surface at all samples, of which these are the expansions, along their
-/// normals.
+/// Gradients by the anchors compared with those of the `expansions`, along the normals of all samples.
 ///
 /// Memory: 12 bytes per sample, and some 85 more meanwhile, with 4 for each thread.
 pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
@@ -253,13 +256,14 @@ pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAc
     expansions.par_iter().enumerate().map(told).collect()
 }
 
-/// Whether a gradient may be the map's that differs by so much from an expansion's own.
+/// Whether a gradient that differs by `more` from `own`, that of an expansion, may be the map's: its volume
+/// is not far from that of `own`.
 fn is_plausible(own: Mat3, more: Mat3) -> bool {
     let ratio = (own + more).determinant() / own.determinant();
     more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)
 }
 
-/// All anchors, and where each has a say.
+/// All anchors, and the samples at which each has a say.
 struct Anchors {
     anchors: Vec<Anchor>,
     lists: AnchorLists,
@@ -279,7 +283,7 @@ impl Anchors {
         Self { anchors, lists: AnchorLists::new(samples, &heard) }
     }
 
-    /// Whether none has a say at a sample.
+    /// Whether no anchor has a say at a sample.
     fn are_silent_at(&self, i: usize) -> bool {
         self.lists.anchors(i).is_empty()
     }
@@ -315,7 +319,7 @@ fn anchors(stencils: &Stencils<'_>, expansions: &[Expansion]) -> Vec<u32> {
 
 /// A way through the graph of neighbours, to each sample once.
 struct NeighbourWalk {
-    /// In which walk each sample was met last.
+    /// Number of the walk in which each sample was met last.
     met: Vec<u32>,
     walks: u32,
 }
@@ -325,8 +329,8 @@ impl NeighbourWalk {
         Self { met: vec![0; samples], walks: 0 }
     }
 
-    /// The samples that at most so many links lead to, by the number of links, itself first; and how many
-    /// [`HEARD`] links lead to.
+    /// Samples that at most `links` links lead to, by the number of links, sample `i` first; and the number
+    /// of those that [`HEARD`] links lead to.
     fn from<'a>(&mut self, i: u32, links: usize, near: impl Fn(usize) -> &'a [u32]) -> (Vec<u32>, usize) {
         self.walks += 1;
         self.met[i as usize] = self.walks;
@@ -349,7 +353,7 @@ impl NeighbourWalk {
     }
 }
 
-/// Which anchors have a say at each sample, ascending.
+/// Anchors that have a say at each sample, ascending.
 struct AnchorLists {
     starts: Vec<u32>,
     anchors: Vec<u32>,
@@ -369,7 +373,7 @@ impl AnchorLists {
     }
 }
 
-/// What the anchor at sample `i` is fitted to.
+/// Inputs of the fit of an anchor at sample `i`.
 struct AnchorFit<'a> {
     fitted: FitInput<'a>,
     i: usize,
@@ -456,7 +460,7 @@ impl Anchor {
     }
 }
 
-/// As many numbers as the processor takes at once.
+/// Numbers in a block, as many as the processor takes at once.
 const BLOCK: usize = 8;
 
 /// Length of the rows of a matrix: whole blocks.
@@ -464,16 +468,17 @@ const ROW: usize = TERMS.next_multiple_of(BLOCK);
 
 type RowBlocks = [[f64; ROW]; TERMS];
 
-/// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
+/// Sums of the squares of the affine map's residual, which is to be explained by the terms in units of the
+/// radius.
 struct ResidualSquares {
-    /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`];
-    /// and the products with what is to be explained.
+    /// Lower triangle of the products of terms, which is read, with the entries beside it in blocks of
+    /// [`BLOCK`]; and the products with the residual.
     matrix: RowBlocks,
     right: [DVec3; TERMS],
     /// The sums of the weights, and of their squares.
     weights: f64,
     squared_weights: f64,
-    /// The weighted sum of squares of what is to be explained.
+    /// Weighted sum of the residual's squares.
     squares: f64,
     /// The largest of that, as the square of a length.
     largest: f64,
@@ -510,8 +515,9 @@ impl ResidualSquares {
         self.largest = self.largest.max(left.length_squared());
     }
 
-    /// The terms, and how far the neighbours tell the one along the normal; `extent` is the strain times the
-    /// radius. Nothing where the affine map explains all but rounding, or too little is there.
+    /// Terms, and the part of the one along the normal that the neighbours determine; `extent` is the strain
+    /// times the radius. `None` where the affine map explains all but rounding, or too few neighbours are
+    /// there.
     fn solve(&self, extent: f64, normal: DVec3) -> Option<([DVec3; TERMS], f64)> {
         let free = 1.0 - TERMS as f64 * self.squared_weights / (self.weights * self.weights);
         if self.largest <= ROUNDING * ROUNDING || free.is_nan() || free < LEAST_FREE {
@@ -590,8 +596,8 @@ mod tests {
         SampleSet::new((0..2500).map(place).collect(), Vec::new()).expect("samples")
     }
 
-    /// How far the gradient is off across the surface, in the mean of the samples that are not at the border:
-    /// by the expansions, and by what is told.
+    /// Root of the mean square error of the gradient across the surface, over the samples that are not at the
+    /// border: by the expansions, and by the anchors.
     fn off(map: impl Fn(Vec3) -> Vec3, gradient: impl Fn(Vec3) -> Mat3) -> [f32; 2] {
         let samples = samples();
         let around = RestGeometry::new(&samples);

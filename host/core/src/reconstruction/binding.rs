@@ -1,7 +1,8 @@
-//! What does not depend on the deformation, kept in a file: who is near whom in P_S, and the home of every
-//! vertex. A model that is deformed again and again is bound to its samples once.
+//! Bindings: the part of a reconstruction that does not depend on the deformation, kept in a file. These are
+//! the neighbours of the samples in P_S, and the home of every vertex. A model that is deformed again and
+//! again is bound to its samples once.
 //!
-//! The file begins with eight letters and a version, and what is known of the samples with a checksum. Then
+//! The file begins with eight letters and a version, and the geometry of the samples with a checksum. Then
 //! follow the homes, a part with its own checksum for each chunk that the model is read in: runs of vertices
 //! with the same home, as the difference to the last home and a length.
 
@@ -24,17 +25,17 @@ use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
 use crate::varint::{self, VarintNumbers};
 
-/// What a binding begins with.
+/// First letters of a binding.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
-/// To be counted up whenever the format changes, or the key of the same samples, their
+/// Version of the format, counted up whenever the format changes, or the key of the same samples, their
 /// sheets, supports or homes.
 const VERSION: u32 = 8;
 
-/// Most bytes of a part: a chunk's vertices, each with another home.
+/// Largest number of bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
-/// The head of a binding: what is known of the samples.
+/// Head of a binding: the geometry of the samples.
 #[derive(Deserialize)]
 struct BindingHead {
     /// Hash of all that it depends on.
@@ -117,7 +118,7 @@ fn encode(homes: &[u32], runs: &mut Vec<u8>) {
     }
 }
 
-/// The homes of runs, each less than `samples`, `count` in all; `None` if that is not what they are.
+/// Homes of runs, each less than `samples`, `count` in all; `None` if `runs` are no such homes.
 fn decode(runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
     homes.clear();
     let mut numbers = VarintNumbers(runs);
@@ -140,7 +141,7 @@ pub(super) struct Binding {
 }
 
 impl Binding {
-    /// Opens the binding of a sampled model, if there is one; why it is of no use, if it is not.
+    /// Opens the binding of a sampled model, if there is one; the error says why it is of no use.
     pub(super) fn open<'a>(
         path: &Path,
         sampled: &'a SampledModel,

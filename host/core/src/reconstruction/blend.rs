@@ -3,8 +3,9 @@
 //!
 //! u(p) = Σ wᵢ(p)·uᵢ(p) / Σ wᵢ(p), where wᵢ vanishes at a fixed distance from sample i. So no vertex has to
 //! search and sort its neighbours: around each sample, its *home*, all supports that reach there are listed
-//! once, and a vertex goes through the list of its home. As nothing depends on who is nearest, the blend is
-//! as smooth as its weights, and the gradient (for normals) is the exact one of what the vertices do.
+//! once, and a vertex goes through the list of its home. As nothing depends on which sample is nearest, the
+//! blend is as smooth as its weights, and the gradient (for normals) is the exact one of the vertices'
+//! deformation.
 //!
 //! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector
 //! registers take, which is found out at run time. Every vertex' numbers are computed by the same operations
@@ -31,26 +32,28 @@ pub const AROUND: usize = 28;
 /// Homes whose lists are made by one job.
 const HOMES_OF_JOB: usize = 256;
 
-/// Supports that are looked at before what they say is added.
+/// Supports that are looked at before their displacements are added.
 const TOGETHER: usize = 32;
 
 /// The support of a sample ends at this one of its neighbours.
 const SUPPORT_NEIGHBOURS: usize = 7;
 
-/// Least sum of weights at which the blend is that of the supports. Less is the margin of the last one.
+/// Least sum of weights at which the blend is that of the supports. A smaller sum is found at the margin of
+/// the last support.
 pub const LEAST_WEIGHT: f32 = 1e-6;
 
-/// For each sample, the supports that reach where it is the home.
+/// For each sample, the supports that reach the vertices of which it is the home.
 ///
 /// Memory: about 30 supports of 8 bytes per sample, and room for a few more.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
-    /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of,
-    /// itself included.
+    /// Distance from each sample within which there are no more samples, on whatever sheet and with the
+    /// sample itself, than a [range](super::bound) is of.
     pub ranging: Vec<f32>,
-    /// Where those of each home begin and end; what lies between is of no meaning.
+    /// Start and end of each home's entries in `reaching`; entries between an end and the next start have no
+    /// meaning.
     starts: Vec<u32>,
     ends: Vec<u32>,
     reaching: Vec<ReachingSupport>,
@@ -65,8 +68,8 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
-    /// The supports of samples, where the lists of homes were found out before: where each ends, from the
-    /// first home on, and who is in them, which have to be samples.
+    /// Supports of samples whose lists of homes were found before: the end of each list, from the first home
+    /// on, and the entries of all lists, which have to be samples.
     pub fn known(
         positions: &[Vec3],
         sheets: &Sheets,
@@ -93,7 +96,7 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
-    /// Whether it is of so many samples: one that was read may be anything.
+    /// Whether all lists fit a set of `samples`: supports that were read from a file may be damaged.
     pub fn is_valid(&self, samples: usize) -> bool {
         self.radius.len() == samples
             && self.ranging.len() == samples
@@ -110,7 +113,7 @@ impl Supports {
     }
 }
 
-/// The radii of the samples' supports, and how far [ranges](super::bound) reach.
+/// Radii of the samples' supports, and the distances within which [ranges](super::bound) are known.
 fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
     let all = || (0..positions.len()).into_par_iter();
     let radius = all().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1);
@@ -128,12 +131,12 @@ fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
 /// numbers turn; and as much for up to [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
-    /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
-    /// them is of no meaning, but finite.
+    /// Home and places of each group of vertices. A group begins at a multiple of [`PACKET`]; entries between
+    /// groups have no meaning, but are finite.
     pub groups: Vec<(u32, Range<usize>)>,
     /// The homes of the vertices behind the groups, which are nearly alone around them.
     pub scattered: Vec<u32>,
-    /// Where these begin: a multiple of [`PACKET`].
+    /// Place of the first vertex behind the groups: a multiple of [`PACKET`].
     pub scattered_at: usize,
     /// Local coordinates.
     pub positions: [Vec<f32>; 3],
@@ -162,7 +165,7 @@ impl Grouped {
     }
 }
 
-/// What is blended.
+/// Inputs of a blend.
 pub struct Blending<'a> {
     pub supports: &'a Supports,
     pub expansions: &'a [Expansion],
@@ -173,7 +176,7 @@ pub struct Blending<'a> {
     pub turning: &'a [Expansion],
     /// As for `Transport::normal`.
     pub mirrored: bool,
-    /// Whether the gradient of the blend is asked for.
+    /// Whether the gradient of the blend is wanted.
     pub gradient: bool,
 }
 
@@ -277,7 +280,7 @@ impl<const GRADIENT: bool, const TURNING: bool> WithSimd for PacketBlend<'_, GRA
     }
 }
 
-/// Where the results of packets go.
+/// Slices that take the results of packets.
 struct Results<'a, S: Simd> {
     displacement: [&'a mut [S::f32s]; 3],
     sum: &'a mut [S::f32s],
@@ -287,7 +290,7 @@ struct Results<'a, S: Simd> {
 }
 
 impl<S: Simd> Results<'_, S> {
-    /// Puts the gradients by which numbers of a packet turn where they belong.
+    /// Stores the gradients by which numbers of a packet turn at their places.
     #[inline(always)]
     fn put_turning(&mut self, at: usize, gradient: &[Lanes<S>; 9]) {
         for (to, g) in self.turning.iter_mut().zip(gradient) {
@@ -295,7 +298,7 @@ impl<S: Simd> Results<'_, S> {
         }
     }
 
-    /// Puts those of a packet where they belong, and turns its normals.
+    /// Stores the results of a packet at their places, and turns its normals.
     #[inline(always)]
     fn put<const GRADIENT: bool>(&mut self, simd: S, at: usize, blended: &Blended<S>, side: Lanes<S>) {
         for (to, u) in self.displacement.iter_mut().zip(&blended.displacement) {
@@ -334,7 +337,7 @@ fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> 
     ];
     let square = length_squared(turned);
     let factor = side * length_squared(n).sqrt() * square.sqrt().inverse_or_one();
-    // Where nothing is left of it, it stays; and so it does where it was no number.
+    // A normal of which nothing is left stays as it was, and so does one that is no number.
     [
         square.where_positive(turned[0] * factor, n[0]),
         square.where_positive(turned[1] * factor, n[1]),
@@ -342,7 +345,7 @@ fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> 
     ]
 }
 
-/// What a packet of vertices gets.
+/// Results of a blend for a packet of vertices.
 struct Blended<S: Simd> {
     displacement: [Lanes<S>; 3],
     sum: Lanes<S>,
@@ -355,7 +358,7 @@ fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
     Lanes::splat(simd, e.term(k, o))
 }
 
-/// What is within Horner's brackets of coordinate `o` of an expansion at `d` from its sample.
+/// Factors of dx, dy and dz in the Horner form of coordinate `o` of an expansion, at `d` from its sample.
 #[inline(always)]
 fn inner<S: Simd>(simd: S, e: &Expansion, o: usize, [dx, dy, dz]: [Lanes<S>; 3]) -> [Lanes<S>; 3] {
     let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));
@@ -390,8 +393,8 @@ fn within<S: Simd>(simd: S, e: &Expansion, p: [Lanes<S>; 3]) -> ([Lanes<S>; 3], 
     (d, length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), Lanes::splat(simd, 1.0)))
 }
 
-/// Finds the supports that reach any vertex of a packet, of whom none is farther from its home than
-/// `furthest`: without a branch that the processor would have to foretell. Returns how many there are.
+/// Finds the supports that reach any vertex of a packet: without a branch that the processor would have to
+/// foretell. No vertex is farther from its home than `furthest`. Returns the number of supports.
 #[inline(always)]
 fn reaching<S: Simd>(
     simd: S,

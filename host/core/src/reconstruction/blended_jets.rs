@@ -5,9 +5,9 @@
 //! expansions around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J.
 //! Schmid, M. Pauly, *Embedded Deformation for Shape Manipulation*, 2007).
 //!
-//! The fit is of what the affine maps of [`gradients`](super::gradients) leave over, with a small ridge
-//! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
-//! reproduce similarities exactly, and so does this.
+//! The fit is of the residual of the affine maps of [`gradients`](super::gradients), with a small ridge
+//! towards zero: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
+//! reproduce similarities exactly, and so do the expansions.
 
 use std::ops::Range;
 
@@ -34,12 +34,12 @@ pub(super) const FIT_NEIGHBOURS: usize = MOST_NEIGHBOURS;
 /// Samples that are fitted by one job.
 pub(super) const TOGETHER: usize = 64;
 
-/// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
-/// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
-/// would).
+/// Ridge for each unit of a fit's residual, both relative to the data's square: the residual counts as noise
+/// of the data, and the ridge shows what the fit explains by terms that the noise leaves undetermined (as
+/// Wiener's filter would).
 const NOISE: f64 = 0.3;
 
-/// What a fit to a smooth map may leave over, as a part of the data's square.
+/// Largest residual of a fit to a smooth map, as a part of the data's square.
 const SMOOTH: f64 = 0.01;
 
 /// The power of the ratio of costs by which an expansion is preferred to another.
@@ -49,7 +49,7 @@ const CHOICE: i32 = 8;
 /// on.
 const ROUNDS: usize = 3;
 
-/// What rounding makes of a cost: the root of about 1e-7, for each neighbour.
+/// Least cost of an expansion, due to rounding: the root of about 1e-7, for each neighbour.
 const LEAST_COST: f32 = 1e-2;
 
 /// A map around a sample.
@@ -76,7 +76,7 @@ impl Jet {
     }
 }
 
-/// The expansions of all samples, and what is known of those whose neighbours disagree with them.
+/// Expansions of all samples, and the trouble of those whose neighbours disagree with them.
 pub struct Expanded {
     /// The expansion at each sample.
     pub expansions: Vec<Expansion>,
@@ -84,12 +84,12 @@ pub struct Expanded {
     pub troubled: Vec<(u32, TroubledSample)>,
 }
 
-/// A sample beside a step, a crease, or noise: what its expansion has to be compared with.
+/// Measure of trouble at a sample beside a step, a crease, or noise, and the gradient that prevails there.
 #[derive(Debug, Clone, Copy)]
 pub struct TroubledSample {
-    /// How little its expansion is to be believed, from 0 to 1.
+    /// Distrust of the sample's expansion, from 0 to 1: fully believed, or not at all.
     pub amount: f32,
-    /// The gradient of the displacement that prevails around it.
+    /// Gradient of the displacement that prevails around the sample.
     pub prevailing: Mat3,
 }
 
@@ -135,7 +135,7 @@ pub fn expand(
     Expanded { expansions, troubled }
 }
 
-/// The gradient around each troubled sample: that of its neighbours which are not, or in their turn of
+/// Gradient around each troubled sample: that of its neighbours which are not troubled, or in their turn of
 /// theirs.
 fn prevailing(
     samples: &SampleSet,
@@ -147,7 +147,7 @@ fn prevailing(
     if in_trouble.is_empty() {
         return Vec::new();
     }
-    // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
+    // Gradient at each sample, as far as it is known, and a measure of how well: from 0 to 1.
     let mut known: Vec<(Mat3, f32)> = expansions
         .iter()
         .zip(trouble)
@@ -181,7 +181,7 @@ fn prevailing(
 /// The expansion at a sample whose neighbours do not agree, as beside a step: of those of the neighbours,
 /// moved to the sample, the ones that explain the neighbours best.
 ///
-/// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as
+/// The choice is that of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as
 /// in X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least
 /// sum of square roots of distances: a few neighbours that are far off matter little.
 fn one_sided(
@@ -235,7 +235,8 @@ impl Jet {
     }
 }
 
-/// What is fitted: samples, and the gradient at each that the fit goes beyond.
+/// Inputs of a fit: samples, their stencils and deformed positions, and the affine map's gradient at each,
+/// beyond which the fit goes.
 #[derive(Clone, Copy)]
 pub(super) struct FitInput<'a> {
     pub samples: &'a SampleSet,
@@ -245,7 +246,8 @@ pub(super) struct FitInput<'a> {
 }
 
 impl FitInput<'_> {
-    /// The nearest neighbours of a packet's samples, so many, and the gradients there, column by column.
+    /// Gathers the `count` nearest neighbours of a packet's samples; returns the gradients of the samples,
+    /// column by column.
     #[inline(always)]
     pub fn gather<S: Simd>(
         &self,
@@ -266,7 +268,7 @@ impl FitInput<'_> {
     }
 }
 
-/// So many samples from this one on; where the lanes are more, the others are the first one again.
+/// Samples of a packet: `count` ones from `first` on; further lanes are filled with the first one.
 #[inline(always)]
 pub(super) fn packet_of(first: usize, count: usize) -> [usize; MOST_LANES] {
     std::array::from_fn(|lane| if lane < count { first + lane } else { first })
@@ -278,7 +280,7 @@ struct ExpansionFits<'a> {
     fitted: FitInput<'a>,
     first: usize,
     expansions: &'a mut [Expansion],
-    /// How little each fit is to be believed, from 0 to 1.
+    /// Distrust of each fit's expansion, from 0 to 1.
     trouble: &'a mut [f32],
 }
 
@@ -314,7 +316,7 @@ impl ExpansionFits<'_> {
         }
         let splat = |x| DoubleLanes::splat(simd, x);
         let (terms, left, ridge, is_solved) = squares.solve(strain(simd, gradient));
-        // What terms explain that noise of this size leaves undetermined is not relied on.
+        // A fit is not relied on for what it explains by terms that noise of this size leaves undetermined.
         let (mut relied_on, mut is_solved) = (left, is_solved);
         let is_noisy = splat(SMOOTH).less(left);
         if is_noisy.any() {
@@ -345,7 +347,7 @@ impl ExpansionFits<'_> {
     }
 }
 
-/// How far gradients, column by column, are from rotations: the size of Green's strain.
+/// Size of Green's strain of gradients, given column by column: their distance from rotations.
 #[inline(always)]
 pub(super) fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S> {
     let splat = |x| DoubleLanes::splat(simd, x);

@@ -21,12 +21,12 @@ const BLOCK: usize = 1 << 14;
 /// which follow each other on a curve are near.
 const LARGE_BLOCK: usize = 1 << 16;
 
-/// Two of so many vertices are looked at to tell whether they are in order: a prime, so that they are at all
-/// places of runs of any other length …
+/// Step between the pairs of successive vertices that are looked at to tell whether vertices are in order: a
+/// prime, so that pairs are at all places of runs of any other length …
 const LOOKED_AT: usize = 17;
 
-/// … and they are not, if more than one of so many is far from the one before: runs of some twenty vertices
-/// in random order are found, too.
+/// … and the number of pairs of which at most one is far apart where vertices are in order. Runs of some
+/// twenty vertices in random order are found, too.
 const JUMPS: usize = 24;
 
 /// Vertices that a packet is not worth for.
@@ -38,15 +38,16 @@ const MORTON_BITS: u32 = 10;
 /// … if many are further from the one before than this part of where they all are.
 const JUMP: f64 = 0.1;
 
-/// What vertices become: as they are until then.
+/// Positions, normals, gradients and figures of vertices that are carried over, in place: as at rest until
+/// then.
 pub struct Moved<'a> {
-    /// In the model's coordinates.
+    /// Positions in the model's coordinates.
     pub positions: &'a mut [DVec3],
     /// Normals that are to be turned: as many, or none.
     pub normals: &'a mut [Vec3],
     /// The gradient of the deformation at each, which is filled in where anything moves: as many, or none.
     pub gradients: &'a mut [Mat3],
-    /// What becomes of the surface, which is filled in: as many, or none.
+    /// Diagnostics of the surface at each vertex, which are filled in: as many as positions, or none.
     pub figures: &'a mut [VertexDiagnostics],
 }
 
@@ -54,9 +55,9 @@ pub struct Moved<'a> {
 /// of the pool. `positions` are theirs at rest, in the model's coordinates. Vertices without a finite
 /// position stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
-/// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of
-/// its normal on both: not on what other vertices there are, on their order, on the division into calls, or
-/// on the number of threads.
+/// All fields are of the same samples. The deformed position of a vertex depends on its position alone, and
+/// its normal on position and normal: not on what other vertices there are, on their order, on the division
+/// into calls, or on the number of threads.
 pub fn carry(
     fields: &[DeformationField<'_>],
     frame: &Frame,
@@ -72,7 +73,7 @@ pub fn carry(
     blocks(positions, homes, moved, most).into_par_iter().for_each(|block| block.carry(fields, frame));
 }
 
-/// Where points of the model (its coordinates) go.
+/// Deformed positions of points in the model's coordinates.
 pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
@@ -117,16 +118,16 @@ pub fn carry_on_this_thread(
     }
 }
 
-/// Consecutive vertices, and what they become in each version.
+/// Consecutive vertices, and their results in each version.
 struct Block<'a> {
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
-    /// For how many vertices each one stands; empty where that is itself alone.
+    /// Number of vertices that each one stands for; empty where that is itself alone.
     counts: &'a [u32],
     moved: Vec<Moved<'a>>,
 }
 
-/// The blocks that vertices are divided into, of at most so many.
+/// Blocks that vertices are divided into, each of at most `most` vertices.
 fn blocks<'a>(
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
@@ -160,7 +161,7 @@ impl Block<'_> {
         let Self { positions, homes, counts, mut moved } = self;
         let Some(around) = fields.first().map(|field| field.around) else { return };
         for Moved { normals, .. } in &mut moved {
-            // As a rule those of splats are all zero, and stay it.
+            // Normals of splats are all zero as a rule, and stay so.
             if normals.iter().all(|n| *n == Vec3::ZERO) {
                 *normals = &mut [];
             }
@@ -287,8 +288,8 @@ impl Workspace {
         }
     }
 
-    /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor who
-    /// reaches it, and it is among the nearest to each of them.
+    /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor the
+    /// samples whose supports reach there, and the home is among the samples nearest to each vertex.
     #[inline]
     fn stays(&self, run: &HomeRun, field: &DeformationField<'_>) -> bool {
         if run.place != NOWHERE {
@@ -315,7 +316,7 @@ impl Workspace {
         }
     }
 
-    /// Takes what became of vertices for which that is nothing but the blend.
+    /// Takes the results of vertices that are nothing but the blend's.
     #[inline]
     fn take(&self, run: &HomeRun, frame: &Frame, moved: &mut Moved<'_>) {
         let places = run.places();
@@ -420,7 +421,7 @@ impl Workspace {
         }
     }
 
-    /// What happens to a vertex of the block, where that is not just the blend.
+    /// Transport of a vertex of the block, where it is other than the blend's.
     #[inline]
     fn one_by_one(&self, field: &DeformationField<'_>, vertex: BlockVertex) -> Option<Transport> {
         let BlockVertex { home, local: p, place, .. } = vertex;
@@ -470,7 +471,7 @@ impl Workspace {
         Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[place]))
     }
 
-    /// The gradient of the blend; nothing, if it was not asked for.
+    /// Gradient of the blend; zero, if it was not asked for.
     fn gradient(&self, place: usize) -> Mat3 {
         let entry = |v: &Vec<f32>| v.get(place).copied().unwrap_or_default();
         Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(entry))
@@ -550,7 +551,7 @@ impl Workspace {
             if place == NOWHERE {
                 continue;
             }
-            // What an earlier part left is no group of this one, unless that group is of the same home.
+            // A group of an earlier part counts for this part only if it is of the same home.
             let group = &mut group_of[home as usize];
             if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
                 filled[*group as usize].next += count;
@@ -586,19 +587,19 @@ struct BlockVertex {
     place: usize,
 }
 
-/// The local coordinates of a position. Anywhere, if it is not finite: what comes of it is not used.
+/// Local coordinates of a position. A position that is not finite gives any place, whose result is not used.
 #[inline]
 fn local(frame: &Frame, p: DVec3) -> Vec3 {
     // A sum with zero is never −0.
     if is_finite(p) { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
 }
 
-/// The most vertices of a block of these: `in_no_order` where they are in none.
+/// Largest number of vertices in a block of these: `in_no_order` where they are in no order.
 fn most_of_block(positions: &[DVec3], in_no_order: usize) -> usize {
     if is_in_order(positions) { BLOCK } else { in_no_order.min(positions.len()).max(1) }
 }
 
-/// Whether most vertices are near to the one before, by some of them.
+/// Whether the vertices come in order: most of those looked at are near to the vertex before.
 fn is_in_order(positions: &[DVec3]) -> bool {
     let some = || positions.windows(2).step_by(LOOKED_AT);
     let low = some().map(|p| p[0]).fold(DVec3::INFINITY, DVec3::min);

@@ -1,11 +1,12 @@
 //! The bound that no vertex leaves: the range of the samples around it.
 //!
-//! Where fits are badly determined, as between two sheets that move apart, among samples that jitter, or
-//! beyond the last samples, an expansion may explain its neighbours well and take a vertex far away from all
-//! of them. Whatever is blended is therefore compared with where the 28 samples nearest to the vertex go:
-//! `docs/reconstruction.md` has the definition. This is the maximum principle of scattered data, as limiters
-//! of finite volumes hold it (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on
-//! Unstructured Meshes*, 1989), in space rather than on a sheet, for coordinates one by one.
+//! Fits that are badly determined, as between two sheets that move apart, among samples that jitter, or
+//! beyond the last samples, may give an expansion that explains its neighbours well and takes a vertex far
+//! away from all of them. Whatever is blended is therefore compared with the displacements of the 28 samples
+//! nearest to the vertex: `docs/reconstruction.md` has the definition. This is the maximum principle of
+//! scattered data, as limiters of finite volumes hold it (T. Barth, D. Jespersen, *The Design and Application
+//! of Upwind Schemes on Unstructured Meshes*, 1989), in space rather than on a sheet, for coordinates one by
+//! one.
 //!
 //! Nearly all vertices are seen to keep to it without a search, as they lie within the range of samples
 //! beside their home that are surely among those nearest to them.
@@ -17,14 +18,14 @@ use super::expansion::ROUNDING;
 use super::sheets::Sheets;
 use crate::sampling::SampleSet;
 
-/// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
-/// rounding.
+/// Distance beyond the range that a vertex may go, as a part of the local step: a little less than a tenth,
+/// for rounding.
 pub const BEYOND: f32 = 0.095;
 
 /// Neighbours of a sample to which its edges lead: a ring.
 pub const EDGES: usize = 6;
 
-/// What a displacement may be off by rounding.
+/// Rounding error of a displacement, local units.
 pub const MARGIN: f32 = ROUNDING as f32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
@@ -43,7 +44,7 @@ impl DisplacementBox {
         Self { low: u - MARGIN, high: u + MARGIN }
     }
 
-    /// With one displacement more.
+    /// Copy of this range that includes one displacement more.
     #[inline]
     pub fn with(self, u: Vec3) -> Self {
         Self { low: self.low.min(u - MARGIN), high: self.high.max(u + MARGIN) }
@@ -59,7 +60,7 @@ impl DisplacementBox {
     }
 }
 
-/// What the edges of samples show.
+/// Largest difference of displacements, and largest slope, over some edges between samples.
 #[derive(Debug, Clone, Copy)]
 pub struct EdgeStretches {
     /// The largest difference of displacements.
@@ -100,7 +101,7 @@ impl EdgeStretches {
     }
 }
 
-/// What the edges of all samples show.
+/// Stretches of the edges around each sample.
 ///
 /// Memory: 8 bytes per sample.
 pub struct Bound {
@@ -108,7 +109,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// The bound that all samples set, by where they come to lie.
+    /// Bound that all samples set, by their deformed positions.
     pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
         let all = (0..deformed.len()).into_par_iter();
         Self { edges: all.map(|i| EdgeStretches::around(samples, sheets, deformed, i)).collect() }

@@ -11,11 +11,11 @@ use crate::sampling::SampleSet;
 
 /// Samples of a range.
 const AROUND: usize = 28;
-/// Edges of each of them.
+/// Edges of each sample.
 const EDGES: usize = 6;
 
-/// How far, in local steps, a vertex at `p` that is displaced by `u` leaves the range of the samples around
-/// it.
+/// Distance, in local steps, by which a vertex at `p` that is displaced by `u` leaves the range of the
+/// samples around it.
 fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) -> f64 {
     let mut order: Vec<usize> = (0..positions.len()).collect();
     let key = |i: &usize| (positions[*i].distance_squared(p), *i);
@@ -43,7 +43,7 @@ fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) 
     let of = |i: &usize| displacements[*i];
     let low = order.iter().map(of).fold(DVec3::INFINITY, DVec3::min) - further;
     let high = order.iter().map(of).fold(DVec3::NEG_INFINITY, DVec3::max) + further;
-    // What single precision makes of places about one from the middle.
+    // Rounding of positions in single precision, about one from the middle.
     let rounding = 2e-6 * (1.0 + u.length() + p.as_dvec3().length());
     let leaves = (low - u).max(u - high).max_element() - rounding;
     if leaves <= 0.0 { 0.0 } else { leaves / step }
@@ -87,7 +87,7 @@ fn distance_from_hull(corners: &[DVec3]) -> f64 {
     x.length()
 }
 
-/// Numbers in [0, 1) that look random, for whatever they are asked.
+/// Numbers in [0, 1) that look random, one for each `i` and `k`.
 fn noise(seed: u64, i: usize, k: usize) -> f32 {
     let mut x = seed ^ (i as u64 * 0x9E37_79B9_7F4A_7C15) ^ (k as u64 * 0xD1B5_4A32_D192_ED03);
     for _ in 0..2 {
@@ -104,7 +104,7 @@ fn noises(seed: u64, i: usize, k: usize) -> Vec3 {
 enum Model {
     Sheet,
     Rough,
-    /// Two sheets so many spacings apart; whether they face the same way.
+    /// Two sheets at this distance, in spacings; whether they face the same way.
     Sheets(f32, bool),
     Cloud,
     Curve,
@@ -161,7 +161,7 @@ enum Map {
     Half,
     /// A turn by so many radians, with a translation.
     Rigid(f32),
-    /// One of two sheets, or what is the second half of the samples otherwise.
+    /// One of two sheets, or the second half of the samples otherwise.
     SecondHalf,
 }
 

@@ -1,5 +1,5 @@
-//! What a deformation does to the surface at each vertex, for people to look at: how far it moves, how much
-//! it is stretched, and whether it is turned inside out.
+//! Diagnostics of a deformation at each vertex, for people to look at: displacement, stretch of the surface,
+//! folds and expected error.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -16,18 +16,18 @@ use super::expectation::ErrorSums;
 /// Vertices that are encoded at a time.
 const BLOCK: usize = 1 << 12;
 
-/// What becomes of the surface at a vertex.
+/// Diagnostics of the surface at a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VertexDiagnostics {
-    /// How far the vertex moves, in the model's unit.
+    /// Length of the vertex's displacement, in the model's unit.
     pub displacement: f32,
     /// The largest and the smallest principal stretch of the surface, 1 at rest.
     pub stretch: [f32; 2],
-    /// Whether it is turned inside out, other than most of the model.
+    /// Whether the surface at the vertex is turned inside out, other than most of the model.
     pub folded: bool,
-    /// How far it is expected to be off, in the model's unit.
+    /// Expected error of the vertex's position, in the model's unit.
     pub expected_error: f32,
-    /// How many times as long as wide a round splat becomes.
+    /// Ratio of length to width that a round splat at the vertex gets.
     pub anisotropy: f32,
 }
 
@@ -63,21 +63,22 @@ fn has_splats(model: &dyn Model) -> bool {
     model.following().is_some_and(Following::has_splats)
 }
 
-/// Where a deformation folds the surface, so that a part of it is turned inside out.
+/// Folds: samples around which a deformation turns the surface inside out.
 ///
 /// Folded are samples at which the sign of the gradient's determinant is not that of most samples: so a
-/// mirror of the whole model folds nothing. What lies off the surface is known from its relief alone, and a
-/// dent or a bend may look mirrored by that. So they count only if the surface doubles back somewhere around
-/// them: if the images of its tangent planes, from one sample to the next, turn by more than a right angle.
+/// mirror of the whole model folds nothing. The map off the surface is known from the surface's relief alone,
+/// and a dent or a bend may look mirrored by that. So folded samples count only if the surface doubles back
+/// somewhere around them: if the images of its tangent planes, from one sample to the next, turn by more than
+/// a right angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Folds {
     /// Number of folded samples.
     pub samples: u64,
-    /// The first of them, if any.
+    /// First of the folded samples, if any.
     pub first: Option<usize>,
-    /// Most of the samples are mirrored.
+    /// Whether most of the samples are mirrored.
     mirrored: bool,
-    /// Whether each sample is folded, or a neighbour of it is.
+    /// Whether each sample is folded, or one of its neighbours.
     near: Vec<bool>,
 }
 
@@ -124,13 +125,13 @@ impl Folds {
         self.near.get(home).is_some_and(|near| *near) && self.differs(gradient.determinant())
     }
 
-    /// Whether the determinant of a gradient has not the sign that most samples have.
+    /// Whether a determinant of a gradient has another sign than most samples have.
     fn differs(&self, determinant: f32) -> bool {
         if self.mirrored { determinant > 0.0 } else { determinant < 0.0 }
     }
 }
 
-/// What becomes of a piece of surface across `normal`, as a vector across its image: on the same side as seen
+/// Image of a unit piece of surface across `normal`, as the vector of its area: on the same side as seen
 /// within the surface, whether or not the deformation mirrors.
 fn area_image(gradient: &Mat3, normal: Vec3) -> Vec3 {
     let (s, t) = normal.any_orthonormal_pair();
@@ -145,13 +146,13 @@ pub struct DiagnosticsFile {
     file: OutputFile,
     path: PathBuf,
     scalar: Scalar,
-    /// The vertices are splats, whose anisotropy is written.
+    /// Whether the vertices are splats, whose anisotropy is written.
     of_splats: bool,
     /// One over the model's diagonal at rest.
     inverse_diagonal: f64,
-    /// Folded vertices up to here.
+    /// Number of folded vertices up to here.
     pub folded: u64,
-    /// What is expected of the vertices up to here, as fractions of the diagonal.
+    /// Sums of the vertices' expected errors up to here, as fractions of the diagonal.
     pub expected: ErrorSums,
 }
 

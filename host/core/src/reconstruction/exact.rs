@@ -1,5 +1,5 @@
-//! The exact map at every vertex, where it is known as a map of space: what a reconstruction is measured by,
-//! and the result itself where its cost does not matter.
+//! Evaluation of an exact map at every vertex, where it is known as a map of space: the truth that a
+//! reconstruction is measured by, and the result itself where its cost does not matter.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -27,14 +27,14 @@ const STEP: f64 = 1.0 / (1 << 17) as f64;
 /// A gradient this near to that of the identity is the identity: differences do not tell them apart.
 const STILL: f64 = 1e-8;
 
-/// How often the map is evaluated for each vertex, if normals or diagnostics need its gradient.
+/// Number of evaluations of the map for each vertex, if normals or diagnostics need its gradient.
 pub const EVALUATIONS_WITH_GRADIENT: u64 = 7;
 
 /// Replaces points, in the model's coordinates, by their images; those that are not finite stay. From any
 /// thread.
 pub type ExactMap<'a> = dyn Fn(&mut [DVec3]) -> Result<()> + Sync + 'a;
 
-/// Whether the gradient is needed besides the images.
+/// Whether the map's gradient is needed besides the images.
 pub fn needs_gradient(model: &dyn Model, normals: Normals, diagnostics: Option<&Path>) -> bool {
     let turns_normals = model.info().has_normals && normals == Normals::Transform;
     diagnostics.is_some() || turns_normals || model.following().is_some()
@@ -102,7 +102,8 @@ pub fn write_exact(
     })
 }
 
-/// The gradients of a map at points of the model, from differences; the identity where nothing tells.
+/// Gradients of a map at points of the model, from differences; the identity where differences do not tell
+/// them.
 ///
 /// # Errors
 /// The map fails.
@@ -130,8 +131,8 @@ pub(super) fn gradients(map: &ExactMap<'_>, frame: &Frame, positions: &[DVec3]) 
     Ok(positions.iter().enumerate().map(gradient).collect())
 }
 
-/// The gradient of a map at each sample: samples on a surface tell nothing of how the map goes on across it,
-/// which positions do not need, but what turns with the surface does.
+/// Gradient of a map at each sample: samples on a surface tell nothing of the map across it, which positions
+/// do not need, but vectors and splats that turn with the surface do.
 ///
 /// Memory: about 200 bytes per sample while it runs.
 ///
@@ -147,9 +148,9 @@ struct ExactEdit<'a> {
     sampled: &'a SampledModel,
     field: &'a DeformationField<'a>,
     map: &'a ExactMap<'a>,
-    /// Whether the gradient is asked for.
+    /// Whether the gradient of the map is needed.
     gradients: bool,
-    /// Whether it is known that nothing moves.
+    /// Whether it is known that no vertex moves.
     is_still: bool,
     /// The hash of all vertices' bytes.
     hash: Mutex<VertexHash>,
@@ -186,8 +187,8 @@ impl Edit for ExactEdit<'_> {
 }
 
 impl ExactEdit<'_> {
-    /// Whether the map leaves all vertices where they are, which takes an evaluation of each: asked where it
-    /// leaves the samples there, as formats make room for what may change.
+    /// Whether the map leaves all vertices where they are. It is evaluated at each of them, so this is asked
+    /// only where it leaves the samples at rest, as formats make room for what may change.
     fn moves_nothing(&self, model: &dyn Model, progress: &dyn Progress) -> Result<bool> {
         progress.begin("looking for what moves", model.info().vertex_bytes);
         let mut reader = model.vertices(0..model.info().vertices)?;
@@ -204,7 +205,7 @@ impl ExactEdit<'_> {
         Ok(true)
     }
 
-    /// Moves the vertices of each version; what the map does to them.
+    /// Moves the vertices of each version; returns their exact images.
     fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<ExactImage>> {
         let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.gradients.is_empty();
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
@@ -227,10 +228,10 @@ impl ExactEdit<'_> {
     }
 }
 
-/// What the map does to a vertex.
+/// Image of a vertex under the map: its displacement, and the gradient there.
 #[derive(Clone, Copy)]
 struct ExactImage {
-    /// In the model's unit; nothing where the vertex is not finite.
+    /// Displacement in the model's unit; zero where the vertex is not finite.
     way: DVec3,
     gradient: DMat3,
 }
@@ -250,7 +251,8 @@ impl ExactEdit<'_> {
         let mut images = positions.to_vec();
         (self.map)(&mut images)?;
         let way = |(p, image): (&DVec3, &DVec3)| {
-            // What the map does not move comes back from local coordinates rounded.
+            // The rest position is rounded to local coordinates and back, as the image of a vertex that stays
+            // is.
             let still = frame.to_model_exact(frame.to_local_exact(*p));
             let way = if p.is_finite() { *image - still } else { DVec3::ZERO };
             ExactImage { way, gradient: DMat3::IDENTITY }
@@ -265,7 +267,7 @@ impl ExactEdit<'_> {
         Ok(carried)
     }
 
-    /// What becomes of the surface at vertices.
+    /// Diagnostics of vertices that the map has carried over.
     fn figures(&self, positions: &[DVec3], carried: &[ExactImage]) -> Vec<VertexDiagnostics> {
         let Self { sampled, field, .. } = self;
         let frame = &sampled.frame;

@@ -1,13 +1,13 @@
-//! A second-order Taylor expansion of the deformation about a sample: what is blended.
+//! Second-order Taylor expansions of the deformation about samples, which are blended.
 
 use bytemuck::Zeroable;
 use glam::{Mat3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
-/// What rounding to single precision may leave over, in local units.
+/// Residual that rounding to single precision may leave, in local units.
 pub const ROUNDING: f64 = 5e-7;
 
-/// The displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and how far the sample's word counts.
+/// Displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and the support in which it has a weight.
 ///
 /// The ten terms of each coordinate are u₀, the three slopes, and the six second-order terms xx, xy, xz, yy,
 /// yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as those of
@@ -55,7 +55,8 @@ impl Expansion {
         std::array::from_fn(|o| std::array::from_fn(|k| self.term(k, o)))
     }
 
-    /// How far within its support a place is: from 1 at the sample down to 0, and below.
+    /// Depth of a place in the expansion's support: from 1 at the sample down to 0 at the border, and below
+    /// outside.
     #[inline]
     pub fn within(&self, p: Vec3) -> f32 {
         1.0 - p.distance_squared(Vec3::from_array(self.center)) * self.inverse_square
@@ -71,12 +72,12 @@ impl Expansion {
         Mat3::from_cols(self.vector(1), self.vector(2), self.vector(3))
     }
 
-    /// This expansion with another gradient of the displacement.
+    /// Copy of this expansion with another gradient of the displacement.
     pub fn with_slope(self, slope: Mat3) -> Self {
         self.with(1, [slope.x_axis, slope.y_axis, slope.z_axis])
     }
 
-    /// This expansion with other second-order terms: xx, xy, xz, yy, yz, zz.
+    /// Copy of this expansion with other second-order terms: xx, xy, xz, yy, yz, zz.
     pub fn with_second(self, second: [Vec3; 6]) -> Self {
         self.with(4, second)
     }
@@ -91,7 +92,7 @@ impl Expansion {
         Vec3::new(self.term(k, 0), self.term(k, 1), self.term(k, 2))
     }
 
-    /// This expansion with other terms from the `k`-th on.
+    /// Copy of this expansion with other terms from the `k`-th on.
     fn with<const N: usize>(mut self, k: usize, terms: [Vec3; N]) -> Self {
         for (to, term) in self.terms[3 * k..].chunks_exact_mut(3).zip(terms) {
             to.copy_from_slice(&term.to_array());
@@ -99,7 +100,7 @@ impl Expansion {
         self
     }
 
-    /// Whether it moves nothing anywhere.
+    /// Whether the expansion is zero, so that it moves nothing anywhere.
     pub fn is_still(&self) -> bool {
         self.terms.iter().all(|x| *x == 0.0)
     }
@@ -130,8 +131,8 @@ impl Expansion {
         (u + a * d.x + b * d.y + c * d.z).truncate()
     }
 
-    /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what
-    /// it is at the margin, as no neighbour told what it is there.
+    /// Displacement of a point at `d`, beyond the support, and its gradient: the second order is that at the
+    /// margin, as no neighbour told what it is farther out.
     pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;
@@ -150,7 +151,8 @@ pub struct ReachingSupport {
 }
 
 impl ReachingSupport {
-    /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
+    /// Number by which supports are ordered: a nearer one's is less, and of those that are equally far that
+    /// of the first sample.
     pub fn to_ordered(self) -> u64 {
         let bits = self.from.to_bits();
         let bits = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };

@@ -1,4 +1,4 @@
-//! What is expected of vertices: around a sample, by rounding, and of many summed up.
+//! Expected errors: around a sample, of rounding, and summed up over many vertices.
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -6,31 +6,31 @@ use simod_model::frame::Frame;
 use simod_model::histogram::Histogram;
 use simod_model::{ModelInfo, Scalar};
 
-/// The root of the mean square of what rounding to single precision makes, as a part of the number that is
-/// rounded.
+/// Root of the mean square error by rounding to single precision, as a part of the number that is rounded.
 const SINGLE: f32 = 2.5e-8;
 
-/// What is expected around a sample, in local units.
+/// Expected error around a sample, in local units.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Expectation {
-    /// The root of the mean square of how far it and its neighbours disagree halfway.
+    /// Root of the mean square by which the sample and its neighbours disagree halfway.
     pub disagreement: f32,
-    /// The furthest of that, and of those which have it among their neighbours.
+    /// Largest of these disagreements, and of those with samples that have this one among their neighbours.
     pub largest: f32,
-    /// The root of the mean square, of it and its neighbours, of how far it is from where the others would
-    /// have it.
+    /// Root of the mean square, over the sample and its neighbours, of each one's distance from where the
+    /// others' expansions take it.
     pub left_out: f32,
 }
 
-/// What the file that is written rounds.
+/// Rounding of positions in the file that is written.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Rounding {
-    /// Where the model's origin is, from the local one of what was shifted, in local units; `None` where
-    /// positions are not of single precision.
+    /// Local origin, shifted, as a point of the model's coordinates in local units: local positions plus this
+    /// are the file's numbers in these units. `None` where positions are not of single precision.
     pub from: Option<Vec3>,
-    /// What comes to all displacements, in local units, where positions are of single precision.
+    /// Shift that is added to all displacements, in local units; zero where positions are not of single
+    /// precision.
     pub shift: Vec3,
-    /// What is rounded to an integer is off by so much, local units: the root of the mean square.
+    /// Root of the mean square error of positions that are rounded to integers, local units.
     pub step: f32,
 }
 
@@ -46,8 +46,8 @@ impl Rounding {
         }
     }
 
-    /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is
-    /// not rounded again.
+    /// Rounding error of the written position of a vertex that goes from `p` by `u`, local units; a vertex
+    /// that does not move is not rounded again.
     pub fn written(self, p: Vec3, u: Vec3) -> f32 {
         if u == Vec3::ZERO && self.shift == Vec3::ZERO {
             return 0.0;
@@ -55,7 +55,8 @@ impl Rounding {
         self.from.map_or(self.step, |origin| SINGLE * (p + u + origin).length())
     }
 
-    /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
+    /// Rounding error of the whole reconstruction at a vertex or a sample that goes from `p` by `u`, local
+    /// units.
     pub fn estimate(self, p: Vec3, u: Vec3) -> f32 {
         if u == Vec3::ZERO && self.shift == Vec3::ZERO {
             return 0.0;
@@ -67,42 +68,43 @@ impl Rounding {
     }
 }
 
-/// How far vertices are expected to be off. Lengths are fractions of the model's diagonal at rest.
+/// Expected error of a model's vertices. Lengths are fractions of the model's diagonal at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ExpectedError {
     /// Root of the mean square.
     pub rms: f64,
-    /// 99.9 % of the vertices are expected to be off by less (to 2 %).
+    /// Bound of the expected error of 99.9 % of the vertices (to 2 %).
     pub p999: f64,
-    /// The worst.
+    /// Largest expected error.
     pub worst: f64,
-    /// Whether it was estimated at each vertex, for diagnostics. Otherwise it is that of the samples, each
-    /// for as many vertices as it was the home of.
+    /// Whether the error was estimated at each vertex, for diagnostics. Otherwise it is that of the samples,
+    /// each counted for as many vertices as it was the home of.
     pub of_vertices: bool,
-    /// Where samples alone tell that it is more than will be [accepted](Self::ACCEPTED).
+    /// Samples around which more error is expected than will be [accepted](Self::ACCEPTED), if there are any.
     #[serde(skip)]
     pub beyond: Option<ErrorExcess>,
 }
 
-/// Where more is expected than is accepted.
+/// Samples around which more error is expected than is accepted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ErrorExcess {
     /// The largest error that is expected around a sample, as a fraction of the diagonal.
     pub worst: f64,
-    /// What rounding alone makes there, as a fraction of the diagonal.
+    /// Error due to rounding alone around that sample, as a fraction of the diagonal.
     pub rounding: f64,
     /// The position of that sample at rest, in the model's coordinates.
     pub place: DVec3,
-    /// Number of samples around which it is more than is accepted.
+    /// Number of samples around which more is expected than is accepted.
     pub samples: u64,
-    /// About how many samples more it takes until it is less, where the deformation is smooth.
+    /// About the number of additional samples with which the error becomes acceptable, where the deformation
+    /// is smooth.
     pub needed: u64,
 }
 
 impl ExpectedError {
-    /// What a user will accept, as a fraction of the diagonal. In a picture in which the model is four
-    /// thousand pixels long it is less than half of one, at the worst vertex; more may show, as a dent or an
-    /// edge that is not straight.
+    /// Largest error that a user will accept, as a fraction of the diagonal. In a picture in which the model
+    /// is four thousand pixels long it is less than half of one, at the worst vertex; more may show, as a
+    /// dent or an edge that is not straight.
     pub const ACCEPTED: f64 = 1e-4;
 
     /// The power of the size of clusters that the error falls with; four times as many samples halve the
@@ -116,12 +118,12 @@ pub(super) struct ErrorSums {
     histogram: Histogram,
     count: u64,
     squares: f64,
-    /// The largest of them.
+    /// Largest of the errors.
     pub worst: f64,
 }
 
 impl ErrorSums {
-    /// Adds `vertices` for which so much is expected.
+    /// Adds `vertices` with this expected error.
     pub fn add(&mut self, expected: f64, vertices: u64) {
         if vertices > 0 && expected.is_finite() {
             self.histogram.add_many(expected, vertices);
@@ -131,7 +133,7 @@ impl ErrorSums {
         }
     }
 
-    /// The error that the estimates come to; fractions of the diagonal.
+    /// Expected error summed up from all estimates; fractions of the diagonal.
     pub fn sum(&self, of_vertices: bool) -> ExpectedError {
         ExpectedError {
             rms: (self.squares / self.count.max(1) as f64).sqrt(),

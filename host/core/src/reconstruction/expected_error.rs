@@ -1,26 +1,26 @@
-//! How far the reconstruction is probably off, without knowing the exact map: around each sample, and at each
+//! Expected error of a reconstruction, estimated without the exact map: around each sample, and at each
 //! vertex.
 //!
-//! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the
-//! third order, for nothing; so the distance between what they say is of the size of what both leave out
-//! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
+//! Halfway between two neighbouring samples the expansions about both count. Each leaves out the third order,
+//! so the distance between the two expansions there is of the size of the terms that both leave out. Where
+//! the deformation has details that the samples do not tell, as at a step, the expansions differ by those.
 //!
-//! At a sample itself it is known where it went. How far what the others make of its place is from that is
-//! the error of a blend, in which what samples leave out cancels as it does at vertices (M. Stone,
-//! *Cross-validatory choice and assessment of statistical predictions*, 1974); somewhat less than its true
-//! one, as the expansions of the others were fitted to it, too.
+//! At a sample itself the deformed position is known. The distance from there to the blend of the other
+//! samples' expansions is the error of a blend, in which the terms that samples leave out cancel as they do
+//! at vertices (M. Stone, *Cross-validatory choice and assessment of statistical predictions*, 1974); it is
+//! somewhat less than the true error, as the expansions of the others were fitted to the sample, too.
 //!
-//! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
-//! about that very place. So does how far the blend is from another one with wider supports, which leaves out
-//! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
-//! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
-//! together they do not tell; how far the samples around are from where others would have them stands for
-//! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
-//! samples, as off the surface, at a sharp edge or outside a border, up to what those around say there, and
-//! another blend with supports that are wider still. How the map varies
-//! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
-//! ([`unresolved`](super::unresolved)). Rounding comes on top: of the samples' positions, of
-//! the displacement, and of the file that is written.
+//! At a vertex all supports that reach it count. The distances of their expansions from the blend tell the
+//! error at that very place. So does the distance of the blend from another one with wider supports, which
+//! leaves out more of the same terms: two orders of one method tell its error, as in an embedded pair of
+//! Runge and Kutta (E. Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969).
+//! Terms that all expansions leave out together do not show in these. For them stand the distances of the
+//! samples around from where the others' expansions take them, with the largest disagreement of any two
+//! halfway. These count more where a vertex lies beyond the samples, as off the surface, at a sharp edge or
+//! outside a border: up to the distances of the expansions around from the vertex, and of another blend with
+//! supports that are wider still. The change of the map across a sheet of gentle relief is guessed alike by
+//! all samples; the error that this leaves open counts, too ([`unresolved`](super::unresolved)). Rounding
+//! comes on top: of the samples' positions, of the displacement, and of the file that is written.
 
 use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -46,35 +46,37 @@ const TELLING: f64 = 4.0;
 /// where samples alone are asked.
 const BY_SAMPLES: f32 = 0.42;
 
-/// Where gradients differ by κ from one sample to the next, as a part of their size, each order of a map is
-/// about κ times the one before, and what two expansions differ by is not most of what both leave out. So
-/// many times κ of it counts besides.
+/// Weight of the change κ of gradients from one sample to the next, as a part of their size. Each order of a
+/// map is about κ times the one before, so with a large κ the difference of two expansions is not most of
+/// what both leave out: this many times κ of the difference counts besides.
 const OF_TURNING: f32 = 2.0;
 
-/// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
+/// Part of the spread of the supports' displacements at a vertex that counts; the true error is mostly less.
 const OF_SPREAD: f32 = 0.45;
 
-/// The other blend has supports so many times as wide, and so much of how far it is from the first one
-/// counts: no more than as many times what the home's ring says, as one that fails may have all of its say.
+/// Factor by which the supports of the other blend are wider, and the part of its distance from the first one
+/// that counts: no more than this factor times the distance of the home's ring, as a sample that fails may
+/// have all of the wider blend's weight.
 const WIDER: f32 = 2.0;
 const OF_WIDER: f32 = 0.5;
 
-/// The parts that count of how far samples are from where others would have them, and of the largest of what
-/// they disagree by halfway, where a vertex lies among them.
+/// Parts that count of the samples' distances from where the others' expansions take them, and of the largest
+/// disagreement halfway, where a vertex lies among the samples.
 const OF_LEFT_OUT: f32 = 0.7;
 const OF_LARGEST: f32 = 0.05;
 
-/// The part of what a sample disagrees by with its ring that it is off by where no other one reaches it.
+/// Part of a sample's disagreement with its ring that is its error where no other support reaches it.
 const BY_HALFWAY: f32 = 0.36;
 
-/// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
-/// direction measured by how far they are spread in it: what they leave out counts as many times more as the
-/// square is larger ...
+/// Least square of a vertex's distance from the middle of the samples that reach it, each direction measured
+/// by the samples' spread in it, at which the vertex lies beyond them. From there on the samples' errors
+/// count more, in proportion to the square ...
 const AMONG: f32 = 0.65;
 
-/// ... up to so much of what the one that differs most says there, together with so much of what the home's
-/// ring says, and of how far a blend is with supports so many times as wide: those who have a say beyond an
-/// edge are few and lie side by side, and take alike for nothing what others, farther off, tell.
+/// ... up to a sum of three parts: of the largest distance of an expansion that reaches the vertex, of the
+/// distance of the home's ring, and of that of a blend with supports `WIDEST` times as wide. Samples that
+/// reach a vertex beyond an edge are few and lie side by side, and leave out alike the terms that other
+/// samples, farther off, tell.
 const SAID: f32 = 0.55;
 const SAID_AROUND: f32 = 0.1;
 const WIDEST: f32 = 3.0;
@@ -90,11 +92,12 @@ const FLAT: f32 = 0.03;
 const CLUSTER: f32 = 2.0;
 
 impl DeformationField<'_> {
-    /// The transfer error to be expected around each sample, local units: the largest difference between its
-    /// expansion and those of its neighbours, halfway, as both ends expect it. Nothing for what rounding
-    /// explains, as of a rigid motion.
+    /// Expected transfer error around each sample, local units: the largest difference between its expansion
+    /// and those of its neighbours, halfway, as both ends expect it. 0 where rounding explains the
+    /// difference, as for a rigid motion.
     ///
-    /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
+    /// The result is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the
+    /// error.
     pub fn expected_error(&self) -> Vec<f32> {
         let told = |e: Expectation| if f64::from(e.largest) < TELLING * ROUNDING { 0.0 } else { e.largest };
         if self.expected.is_empty() {
@@ -104,9 +107,9 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Expects no less, around the samples that have a say at these places (local coordinates), than what was
-    /// found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field has
-    /// to be [expecting](Self::expecting).
+    /// Raises the errors around the samples that have a say at these places (local coordinates) to those that
+    /// were found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field
+    /// has to be [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
         let homes = Homes::new(self.around).of(&places);
@@ -126,7 +129,7 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Finds out what is expected around the samples, which all further estimates rest on, of a file as
+    /// Finds the expected errors around the samples, on which all further estimates rest, for a file as
     /// `info` says.
     pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
@@ -134,18 +137,19 @@ impl DeformationField<'_> {
         self
     }
 
-    /// How far the sample nearest to a place (local coordinates) and its neighbours disagree halfway at most,
-    /// local units.
+    /// Largest disagreement, halfway, of the sample nearest to a place (local coordinates) with its
+    /// neighbours, local units.
     pub fn disagreement(&self, place: Vec3) -> f32 {
         let i = self.around.samples.nearest(place) as usize;
         let halfway = |j: &u32| self.halfway(i, *j as usize, |i| self.scale_at(i));
         self.stencils.ring(i).iter().map(halfway).fold(0.0, f32::max)
     }
 
-    /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How
-    /// far the transfer is off at these samples themselves counts there. One that has stayed from a larger
-    /// cluster stands beside its vertex, of which this tells less: so it is for deformations that are
-    /// compared with the exact map besides. The field has to be [expecting](Self::expecting).
+    /// Copy of this field in which two samples whose clusters are single places do not count against each
+    /// other, as there are no vertices between them. The error of the transfer at these samples themselves
+    /// counts there. A sample that has stayed from a larger cluster stands beside its vertex, of which this
+    /// tells less: so the copy is for deformations that are compared with the exact map besides. The field
+    /// has to be [expecting](Self::expecting).
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.
@@ -166,8 +170,8 @@ impl DeformationField<'_> {
         Ok(self)
     }
 
-    /// What is expected around all samples. Nothing is told between two that are single places; none are, if
-    /// nobody says.
+    /// Expected errors around all samples. Two samples whose clusters are single places, as `is_single` says,
+    /// do not count in each other's largest disagreement; an empty `is_single` stands for none.
     pub(super) fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
@@ -196,8 +200,8 @@ impl DeformationField<'_> {
         disagreement.into_iter().zip(largest).map(told).collect()
     }
 
-    /// Finds out how far samples are from where the others would have them: what is expected of vertices
-    /// rests on that, too. The field has to be [expecting](Self::expecting).
+    /// Finds the distances of samples from where the others' expansions take them: the expected error of
+    /// vertices rests on these, too. The field has to be [expecting](Self::expecting).
     pub(super) fn expecting_of_vertices(mut self) -> Self {
         let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
@@ -211,8 +215,8 @@ impl DeformationField<'_> {
         self
     }
 
-    /// The square of how far a sample is from where the blend of its neighbours alone would have it; where
-    /// none of them reaches it, what it disagrees by with them stands for that.
+    /// Square of the distance of a sample from where the blend of its neighbours alone takes it; where none
+    /// of their supports reaches it, the sample's disagreement with them stands for that.
     fn without(&self, i: usize) -> f32 {
         let place = Vec3::from_array(self.expansions[i].center);
         let went = self.expansions[i].displacement();
@@ -231,29 +235,30 @@ impl DeformationField<'_> {
         (off / sum).length_squared()
     }
 
-    /// How far the expansions about two samples are apart halfway between them, and more where these are so
-    /// far from each other that this tells little; but for what rounding explains, which turns gradients,
-    /// too.
+    /// Distance between the expansions about two samples halfway between them, increased where these are so
+    /// far from each other that the distance tells little; but for the part that rounding explains, which
+    /// turns gradients, too.
     fn halfway(&self, i: usize, j: usize, scale_of: impl Fn(usize) -> Scale) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
         let (own, of_other) = (scale_of(i), scale_of(j));
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
         let apart = says(one, halfway).distance(says(other, halfway));
         let rounding = TELLING as f32 * hypot([own.rounding, of_other.rounding]);
-        // How far their gradients differ, as a part of their mean size: at most 2.
+        // Difference of the gradients as a part of their mean size: at most 2.
         let size = (own.gradient + of_other.gradient).max(f32::MIN_POSITIVE);
         let turned = 2.0 * norm(one.slope() - other.slope()) / size;
         hypot([apart, OF_TURNING * turned * (apart - rounding).max(0.0)])
     }
 
-    /// What differences from a sample's expansion are measured by.
+    /// Size of the gradient and of rounding at a sample, by which differences from its expansion are
+    /// measured.
     fn scale_at(&self, i: usize) -> Scale {
         let gradient = norm(self.expansions[i].slope() + Mat3::IDENTITY);
         Scale { gradient, rounding: self.rounding_at(i) }
     }
 
-    /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
-    /// has to be [expecting of vertices](Self::expecting_of_vertices).
+    /// Expected error of a vertex at `p`, of this home, that goes by `u`; local units. The field has to be
+    /// [expecting of vertices](Self::expecting_of_vertices).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
         let heard = self.heard(home, p, u);
         let around = self.heard_around(home, p, u);
@@ -272,7 +277,8 @@ impl DeformationField<'_> {
         ])
     }
 
-    /// What those have to say who reach a vertex at `p`, of this home, that goes by `u`.
+    /// Sums over the samples whose supports reach a vertex at `p`, of this home, that goes by `u`; over those
+    /// near to it where none does.
     fn heard(&self, home: usize, p: Vec3, u: Vec3) -> Heard {
         let mut heard = Heard::default();
         for i in self.around.reaching(home) {
@@ -289,8 +295,8 @@ impl DeformationField<'_> {
         heard
     }
 
-    /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach
-    /// it.
+    /// What the expansions of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours say
+    /// of it; their supports need not reach the vertex.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
         let (mut furthest, mut differs) = (0.0f32, 0.0f32);
         let [mut wider, mut widest] = [WIDER, WIDEST].map(WideBlend::new);
@@ -307,15 +313,14 @@ impl DeformationField<'_> {
             wider.add(beyond, apart);
             widest.add(beyond, apart);
         }
-        // Of two alone nobody tells which one fails.
+        // Two samples alone do not tell which one fails.
         let are_two = self.stencils.ring(home).len() < 2;
         HeardAround { differs: if are_two { furthest } else { differs }, wider, widest }
     }
 
-    /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
-    /// the home of in all that was carried so far, of `vertices`; the others do not move. `None` where the
-    /// method is another one, which leaves out other things. The field has to be
-    /// [expecting](Self::expecting).
+    /// Expected error of the vertices by that of the samples, each counted for as many vertices as it was the
+    /// home of in all that was carried so far, of `vertices`; the others do not move. `None` where the method
+    /// is another one, which leaves out other things. The field has to be [expecting](Self::expecting).
     pub(super) fn expected_of_samples(&self, of: &SampledModel, vertices: u64) -> Option<ExpectedError> {
         if self.method != Method::BlendedJets {
             return None;
@@ -330,28 +335,29 @@ impl DeformationField<'_> {
             counted += n;
         }
         tally.add(0.0, vertices.saturating_sub(counted));
-        // More samples do not mend what rounding makes.
+        // More samples do not mend rounding.
         let beyond = self.where_beyond(of, ExpectedError::ACCEPTED, |_, e| e.largest);
         Some(ExpectedError { beyond, ..tally.sum(false) })
     }
 
-    /// What writing the file makes of a vertex that is known exactly, local units.
+    /// Rounding error of the written position of a vertex that is known exactly, local units.
     pub(super) fn written_rounding(&self, p: Vec3, u: Vec3) -> f32 {
         self.rounding.written(p, u)
     }
 
-    /// What rounding makes at a sample.
+    /// Rounding error at a sample, local units.
     fn rounding_at(&self, sample: usize) -> f32 {
         self.rounding.estimate(self.around.samples.positions[sample], self.expansions[sample].displacement())
     }
 
-    /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
-    /// are. The field has to be [expecting](Self::expecting).
+    /// Samples around which more than `accepted` is expected, a fraction of the diagonal of the model of
+    /// which the samples are; `None` if there are none. The field has to be [expecting](Self::expecting).
     pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<ErrorExcess> {
         self.where_beyond(of, accepted, |i, e| hypot([e.largest, self.rounding_at(i)]))
     }
 
-    /// The same of what `expected` makes of each sample; local units.
+    /// Samples around which `expected` gives more than `accepted`, as
+    /// [`expected_beyond`](Self::expected_beyond) does; `expected` is in local units.
     fn where_beyond(
         &self,
         of: &SampledModel,
@@ -373,28 +379,28 @@ impl DeformationField<'_> {
     }
 }
 
-/// What those who reach a vertex have to say, each with its weight.
+/// Sums over the samples whose supports reach a vertex, each with its weight.
 #[derive(Default)]
 struct Heard {
-    /// The sum of the weights.
+    /// Sum of the weights.
     sum: f32,
-    /// Squares of how far each is from what was made of them.
+    /// Weighted squares of the distance of each sample's expansion from the vertex's position.
     spread: f32,
-    /// The largest of these.
+    /// Largest such distance.
     furthest: f32,
-    /// How far they and their neighbours are from where others would have them.
+    /// Weighted distance of each sample and its neighbours from where the others' expansions take them.
     left_out: f32,
-    /// The largest of what they and their neighbours disagree by halfway.
+    /// Largest disagreement of any of the samples with its neighbours halfway.
     largest: f32,
-    /// What the gradient across the surface leaves open.
+    /// Weighted error that the gradient across the surface leaves open.
     unresolved: f32,
-    /// The sums of the samples' places relative to the vertex, and of their products.
+    /// Sums of the samples' places relative to the vertex, and of their products.
     places: Vec3,
     products: [Vec3; 3],
 }
 
 impl Heard {
-    /// Hears sample `i` on a vertex at `p` that goes by `u`.
+    /// Adds what sample `i` tells of a vertex at `p` that goes by `u`, with the weight `w`.
     fn add(&mut self, field: &DeformationField<'_>, i: usize, w: f32, p: Vec3, u: Vec3) {
         let off = says(&field.expansions[i], p).distance_squared(u);
         let d = Vec3::from_array(field.expansions[i].center) - p;
@@ -410,8 +416,8 @@ impl Heard {
         self.sum += w;
     }
 
-    /// The square of the vertex' distance from the middle of the samples, each direction measured by how far
-    /// they are spread in it, or by `least`: the distance of Mahalanobis.
+    /// Square of the vertex' distance from the middle of the samples, each direction measured by the samples'
+    /// spread in it, or by `least`: the distance of Mahalanobis.
     fn beyond(&self, least: f32) -> f32 {
         let middle = self.places / self.sum;
         let column = |axis: usize| {
@@ -424,24 +430,25 @@ impl Heard {
     }
 }
 
-/// What the home of a vertex and its neighbours have to say.
+/// Distances of the expansions of a vertex's home and its neighbours, and of wider blends, from the vertex's
+/// position.
 struct HeardAround {
-    /// How far the one of the home's ring that differs second most is from what was made of the vertex: one
-    /// that fails tells nothing. Of two samples in all, how far the one that differs most is.
+    /// Second largest distance of an expansion of the home's ring from the vertex's position: a single one
+    /// that fails tells nothing. Of two samples in all, the largest distance.
     differs: f32,
-    /// What their blends with wider supports make of it.
+    /// Blends of these expansions with wider supports, as distances from the vertex's position.
     wider: WideBlend,
     widest: WideBlend,
 }
 
 impl HeardAround {
-    /// How far one of the blends is from what was made of the vertex.
+    /// Distance of one of the blends from the vertex's position, at most so many times `differs`.
     fn apart_by(&self, blend: &WideBlend) -> f32 {
         blend.apart().min(blend.times * self.differs)
     }
 }
 
-/// A blend with supports so many times as wide, of how far each is from what was made of a vertex.
+/// Blend, with supports that are `times` as wide, of the distances of expansions from a vertex's position.
 struct WideBlend {
     times: f32,
     /// The weighted sum.
@@ -455,26 +462,26 @@ impl WideBlend {
         Self { times, apart: Vec3::ZERO, sum: 0.0 }
     }
 
-    /// Adds one that is so far from it, at a vertex whose distance is `beyond`, the square as a part of that
-    /// of its support's radius.
+    /// Adds an expansion that is `apart` from the vertex's position; `beyond` is the square of the vertex's
+    /// distance from the sample, as a part of that of the support's radius.
     fn add(&mut self, beyond: f32, apart: Vec3) {
         let s = (1.0 - beyond / (self.times * self.times)).max(0.0);
         self.apart += s * s * s * apart;
         self.sum += s * s * s;
     }
 
-    /// How far all of them together are from it; nothing where nobody has a say.
+    /// Length of the blend of all distances; 0 where no sample has a say.
     fn apart(&self) -> f32 {
         if self.sum < LEAST_WEIGHT { 0.0 } else { (self.apart / self.sum).length() }
     }
 }
 
-/// What differences from a sample's expansion are measured by.
+/// Sizes by which differences from a sample's expansion are measured.
 #[derive(Clone, Copy)]
 struct Scale {
     /// The norm of the deformation's gradient.
     gradient: f32,
-    /// What rounding makes, local units.
+    /// Rounding error, local units.
     rounding: f32,
 }
 

@@ -1,4 +1,4 @@
-//! What is expected of vertices beside what is true, where the deformation is known.
+//! Tests: the expected error of vertices beside the true one, where the deformation is known.
 
 use std::f32::consts::{PI, TAU};
 
@@ -38,14 +38,14 @@ fn wavy_samples() -> SampleSet {
     SampleSet::new((0..SIDE * SIDE).map(sample).collect(), Vec::new()).expect("samples")
 }
 
-/// The deformation with what is expected of vertices.
+/// Deformation that expects errors of vertices.
 fn expecting<'a>(around: &'a RestGeometry<'a>, deformed: &'a [Vec3]) -> DeformationField<'a> {
     let mut field = DeformationField::new(around, deformed, Method::BlendedJets);
     field.expected = field.around_samples(&[]);
     field.expecting_of_vertices()
 }
 
-/// How far vertices at these places of the twisted plane are off, and how far they are expected to be.
+/// True and expected error of vertices at these places of the twisted plane.
 fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
     let samples = wavy_samples();
     let around = RestGeometry::new(&samples);
@@ -58,14 +58,14 @@ fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
     places.iter().zip(carried(&field, places)).zip(homes).map(compare).collect()
 }
 
-/// What is expected beside what is true, each as the root of the mean square.
+/// Ratio of the expected error to the true one, each as the root of the mean square.
 fn ratio(of: &[(f32, f32)]) -> f32 {
     let squares = |one: fn(&(f32, f32)) -> f32| of.iter().map(|x| one(x).powi(2)).sum::<f32>();
     (squares(|x| x.1) / squares(|x| x.0)).sqrt()
 }
 
-/// Where a vertex lies beyond the last samples there may be one alone that has a say: what those around it
-/// say there tells that this is not to be relied on.
+/// A vertex beyond the last samples may be reached by one support alone: what the samples around say there
+/// tells that this one is not to be relied on.
 #[test]
 fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
     let place = |i| {
@@ -125,8 +125,8 @@ fn twisted_along(p: Vec3, direction: Vec3) -> Vec3 {
     turned(direction) + PI * direction.z * turned(Vec3::new(-p.y, p.x, 0.0))
 }
 
-/// How far the gradient across a surface of such places and normals is off at samples, which are twisted, and
-/// how far it is expected to be.
+/// True and expected error of the gradient across a surface of such places and normals, at samples that are
+/// twisted.
 fn off_across(on_surface: fn((f32, f32)) -> (Vec3, Vec3)) -> Vec<(f32, f32)> {
     let (places, normals): (Vec<Vec3>, Vec<Vec3>) = (0..5000).map(|i| on_surface(filling(i))).unzip();
     let samples = SampleSet::new(places, Vec::new()).expect("samples");
@@ -142,8 +142,8 @@ fn off_across(on_surface: fn((f32, f32)) -> (Vec3, Vec3)) -> Vec<(f32, f32)> {
     (0..samples.len()).map(compare).collect()
 }
 
-/// Of a surface that is bent gently everywhere, samples guess the gradient across by what their neighbours do
-/// along it. How far that is off is told by wider neighbourhoods.
+/// Samples of a surface that is bent gently everywhere guess the gradient across the surface by that of their
+/// neighbours along it. The error of the guess is told by wider neighbourhoods.
 #[test]
 fn the_error_of_the_gradient_across_is_foretold() {
     let compared = off_across(on_torus);

@@ -21,7 +21,8 @@ use super::unresolved::Unresolved;
 use super::{across, blend, blended_jets};
 use crate::deformed_positions::{DeformedPositions, are_still};
 
-/// A home that does not reach a vertex is not its own if other samples are so many times nearer.
+/// Ratio of distances from which on a home that does not reach a vertex is not taken for the vertex's own, as
+/// other samples are that much nearer.
 const MUCH_NEARER: f32 = 2.0;
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
@@ -30,7 +31,7 @@ const MUCH_NEARER: f32 = 2.0;
 pub struct DeformationField<'a> {
     pub(super) around: &'a RestGeometry<'a>,
     pub(super) deformed: &'a [Vec3],
-    /// What comes to all displacements, in the model's unit.
+    /// Shift that is added to all displacements, in the model's unit.
     pub(super) shift: DVec3,
     pub(super) method: Method,
     pub(super) gradients: Gradients,
@@ -38,12 +39,12 @@ pub struct DeformationField<'a> {
     pub(super) expansions: Vec<Expansion>,
     pub(super) limiter: Limiter,
     pub(super) bound: Bound,
-    /// Whether anything moves around the sample as a home.
+    /// Whether the deformation moves anything at vertices that have each sample as their home.
     pub(super) active: Vec<bool>,
     pub(super) folds: Folds,
-    /// What is expected around each sample, if [that was asked for](Self::expecting).
+    /// Expected error around each sample, if [that was asked for](Self::expecting).
     pub(super) expected: Vec<Expectation>,
-    /// What the gradient across the surface leaves open at each sample, if
+    /// Error that the gradient across the surface leaves open at each sample, if
     /// [vertices](Self::expecting_of_vertices) ask for it.
     pub(super) unresolved: Vec<Unresolved>,
     pub(super) rounding: Rounding,
@@ -100,7 +101,7 @@ impl<'a> DeformationField<'a> {
         Self { shift: deformed.shift, ..Self::new(around, &deformed.local, method) }
     }
 
-    /// Where a sample is after the deformation, in the coordinates of the model with this frame.
+    /// Position of a sample after the deformation, in the coordinates of the model with this frame.
     pub fn place(&self, frame: &Frame, sample: usize) -> DVec3 {
         frame.to_model(self.deformed[sample]) + self.shift
     }
@@ -110,23 +111,23 @@ impl<'a> DeformationField<'a> {
         are_still(self.deformed, self.shift, &self.around.samples.positions)
     }
 
-    /// Whether it turns left into right as a whole.
+    /// Whether the deformation turns left into right as a whole.
     pub(crate) fn is_mirrored(&self) -> bool {
         self.gradients.mirrored
     }
 
-    /// What is known of the samples at rest.
+    /// Geometry of the samples at rest.
     pub fn around(&self) -> &'a RestGeometry<'a> {
         self.around
     }
 
-    /// Where it folds the surface.
+    /// Folds of the surface under this deformation.
     pub fn folds(&self) -> &Folds {
         &self.folds
     }
 
-    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length
-    /// of a local unit.
+    /// Diagnostics at a vertex of this home, at `p`, local coordinates; `scale` is the length of a local
+    /// unit.
     pub(super) fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> VertexDiagnostics {
         let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
@@ -140,8 +141,8 @@ impl<'a> DeformationField<'a> {
         VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
     }
 
-    /// This field with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at
-    /// the samples known, if they are.
+    /// Copy of this field with smooth gradients for what turns: those of wider neighbourhoods, or `known`
+    /// ones at the samples.
     ///
     /// Memory: 136 bytes per sample.
     pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
@@ -154,14 +155,14 @@ impl<'a> DeformationField<'a> {
         self
     }
 
-    /// What the expansions were fitted to; no more once all is [prepared](Self::prepared).
+    /// Inputs to which the expansions were fitted; available until the field is [prepared](Self::prepared).
     pub(super) fn fit_input(&self) -> FitInput<'_> {
         let Self { around, stencils, deformed, gradients, .. } = self;
         FitInput { samples: around.samples, stencils, deformed, gradient: &gradients.gradient }
     }
 
-    /// This field without what vertices need no more: the gradients and normals of the samples, but by the
-    /// paper's method.
+    /// Copy of this field without what vertices need no more: the gradients and normals of the samples, but
+    /// by the paper's method.
     ///
     /// Memory: 49 bytes per sample less.
     pub(super) fn prepared(mut self) -> Self {
@@ -186,9 +187,10 @@ impl<'a> DeformationField<'a> {
         Transport { displacement: displacement / sum, gradient: Mat3::IDENTITY + gradient * (1.0 / sum) }
     }
 
-    /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and
-    /// theirs do. A sheet is taken for its own then because a tangent plane of it happens to go past, as
-    /// planes of the ground do by roofs that have few samples; but not where faces have told whose it is.
+    /// Transport of a vertex that its home's support does not reach, if other samples are much nearer and
+    /// their supports do. A vertex is taken for one of the home's sheet then because a tangent plane of that
+    /// sheet happens to go past, as planes of the ground do by roofs that have few samples; but not where
+    /// faces have told whose it is.
     pub(super) fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
         let samples = self.around.samples;
         let mut found = [0; blend::AROUND];
@@ -200,7 +202,7 @@ impl<'a> DeformationField<'a> {
         (sum >= LEAST_WEIGHT).then_some(moved)
     }
 
-    /// Whether the support of its home reaches a vertex.
+    /// Whether the support of a vertex's home reaches the vertex.
     #[inline]
     pub(super) fn reaches(&self, home: usize, p: Vec3) -> bool {
         self.expansions[home].within(p) > 0.0
@@ -217,7 +219,7 @@ impl<'a> DeformationField<'a> {
             if s == 0.0 {
                 continue;
             }
-            // Beyond the first one's, for precision.
+            // Displacements beyond the first one's are blended, for precision.
             let own = *own.get_or_insert(e.displacement());
             let (at, slope) = e.evaluate(d);
             let (w, of_weight) = (s * s * s, -6.0 * s * s * e.inverse_square * d);

@@ -39,14 +39,15 @@ const COLLINEAR: f64 = 1e-3;
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
 const PRIOR: f64 = 3e-3;
 
-/// The prior's weight where neighbours tell all they can, for each of their own weights: the square of what
-/// rounding makes of how far they are off the plane, for a gradient that is off by a third.
+/// Weight of the prior where neighbours tell all they can, for each of their own weights: the square of the
+/// rounding of their distances from the plane, for a gradient that is off by a third.
 const LEAST_PRIOR: f64 = 1e-13;
 
-/// Relief of this part of the whole spread tells on which side of the surface things come to lie.
+/// Relief, as a part of the whole spread, that tells on which side of the surface the deformed neighbours
+/// lie.
 const RELIEF: f64 = 4e-7;
 
-/// What the fits give.
+/// Gradients and normals of the fits at all samples.
 #[derive(Default)]
 pub struct Gradients {
     /// Gradient of the deformation at each sample, held to the prior across.
@@ -56,12 +57,14 @@ pub struct Gradients {
     /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise
     /// positive.
     pub tells_side: Vec<bool>,
-    /// Whether the deformation as a whole turns left into right: at most of the samples that tell.
+    /// Whether the deformation as a whole turns left into right: at most of the samples whose neighbours tell
+    /// the sign.
     pub mirrored: bool,
 }
 
 impl Gradients {
-    /// Fits all samples, to those of their own sheets first, which tell whom each may borrow besides.
+    /// Fits all samples, to those of their own sheets first; these fits tell the samples that each may borrow
+    /// besides.
     pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
         let own = Stencils::own(sheets);
         // The system's own zeros: the threads that fit touch them first.
@@ -211,8 +214,8 @@ fn fit<S: Simd>(simd: S, neighbours: &Neighbours, fits: &mut [Fit]) {
     let image = sums.along(normal);
     let by_prior = held(image, prior, spread[0], splat(PRIOR) * whole);
     let by_neighbours = held(image, prior, spread[0], splat(LEAST_PRIOR) * sums.weights);
-    // Where the prior explains all neighbours to rounding, the little that they tell is rounding; where an
-    // affine map does, nearly without the prior, they tell that it is one.
+    // A prior that explains all neighbours to rounding stands, as the little that they tell is rounding; an
+    // affine map that explains them nearly without the prior tells that the deformation is affine.
     let [prior_explains, neighbours_explain] =
         explained(simd, neighbours, [(e1, v1), (e2, v2)], normal, [by_prior, by_neighbours]);
     let mut third = by_prior;
@@ -272,8 +275,8 @@ fn on_a_line(e1: DVec3, v1: DVec3) -> DMat3 {
     }
 }
 
-/// Where maps explain all neighbours of a sample to rounding: two, that have the images of the axes along the
-/// plane in common, and each its own of the normal.
+/// Masks of the samples whose neighbours all are explained to rounding, by each of two maps: these have the
+/// images of the axes along the plane in common, and each its own image of the normal.
 #[inline(always)]
 fn explained<S: Simd>(
     simd: S,
@@ -354,7 +357,7 @@ mod tests {
 
     #[test]
     fn fits_have_the_same_bits_with_any_vectors() {
-        // Some stay where they are, and some come to lie on a line.
+        // Samples of which some stay, and some come to lie on a line.
         let samples = SampleSet::new(patch(), Vec::new()).expect("samples");
         samples.prepare();
         let bend = |p: Vec3| match p.z {

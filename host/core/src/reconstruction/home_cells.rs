@@ -1,4 +1,4 @@
-//! A tree of cells, which has for each the sample whose support reaches its middle best.
+//! Octree of cells, which has for each the sample whose support reaches the cell's middle best.
 
 use std::sync::OnceLock;
 
@@ -10,10 +10,10 @@ use super::expansion::Expansion;
 use super::lanes::{Lanes, from};
 use crate::sampling::SampleSet;
 
-/// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
+/// Largest number of supports that may meet a cell that is not parted: fewer than each sample has neighbours.
 const MOST: usize = 5;
 
-/// For that, a support ends at this part of its radius: half a spacing.
+/// Part of its radius at which a support ends for that: half a spacing.
 const REACH: f32 = 0.35;
 
 /// A cell whose edge is shorter than this part of the least radius is not parted, however many supports
@@ -64,7 +64,7 @@ impl HomeOctree {
         cells
     }
 
-    /// The octree whose [parted](Self::parted) cells were found out before; `None` if they are none.
+    /// Octree whose [parted](Self::parted) cells were found before; `None` if they are no octree's.
     pub fn known(positions: &[Vec3], radius: &[f32], parted: Vec<[u32; 8]>) -> Option<Self> {
         let mut levels = vec![0; parted.len()];
         for (at, what) in parted.iter().enumerate().flat_map(|(at, eighths)| eighths.map(|what| (at, what))) {
@@ -72,7 +72,7 @@ impl HomeOctree {
                 ((what as usize) < positions.len()).then_some(())?;
                 continue;
             }
-            // What a cell is parted into comes behind it.
+            // The eighths of a cell stand behind the cell in the list.
             let below = (what & !PARTED) as usize;
             let level = levels[at] + 1;
             (below > at && below < parted.len() && level < LEVELS).then_some(())?;
@@ -110,7 +110,7 @@ impl HomeOctree {
         (cells, OctreeCell { corner, edge, level: 0 })
     }
 
-    /// The square of how far a point is from a sample, as a part of the radius of its support.
+    /// Square of the distance of a point from a sample, as a part of the square of the radius of its support.
     #[inline]
     pub fn depth(&self, sample: u32, p: Vec3) -> f32 {
         depth(self.supports[sample as usize], p)
@@ -176,7 +176,7 @@ const MET: [u8; 64] = {
     met
 };
 
-/// What a cell is filled with, where the list that it speaks of stands behind so many others.
+/// Entry of a cell, shifted where it is a place in a list that stands behind `others` other entries.
 fn behind(others: u32, what: u32) -> u32 {
     if what & PARTED == 0 { what } else { what + others }
 }
@@ -193,7 +193,7 @@ struct Reached {
 }
 
 impl Reached {
-    /// What parts of a cell, parts of these and so on are looked at with: the same for all of a level.
+    /// Empty lists of the samples that reach a cell, one for each level of cells.
     ///
     /// Memory: 32 bytes for each sample that reaches a cell, of one cell of each level: of the samples that
     /// are parted by one thread, up to [`SIDE_BY_SIDE`], twice as many.
@@ -207,7 +207,7 @@ impl Reached {
     }
 }
 
-/// What cells are made of.
+/// Supports and balls from which cells are made.
 struct Growing<'a> {
     supports: &'a [Vec4],
     /// Centre and radius of each support.
@@ -215,8 +215,8 @@ struct Growing<'a> {
 }
 
 impl Growing<'_> {
-    /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its
-    /// parts and below.
+    /// Parts a cell that some samples reach: appends the cell and those below it. `levels` are the lists for
+    /// its eighths and below.
     fn part(&self, cell: OctreeCell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
         let at = parted.len();
         parted.push([0; 8]);
@@ -269,8 +269,9 @@ impl Growing<'_> {
         }
     }
 
-    /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`,
-    /// and itself by those that are `near`, whose `least` radius is known.
+    /// Entry of a cell: its sample, or the place of its eighths with [`PARTED`]. The samples `around` reach
+    /// the cell of which it is an eighth, and those that are `near` reach the cell itself; `least` is the
+    /// least of their radii.
     fn fill(
         &self,
         cell: OctreeCell,
@@ -286,7 +287,7 @@ impl Growing<'_> {
             return at | PARTED;
         }
         let middle = cell.middle();
-        // Where nobody reaches, the nearest.
+        // A cell that no support reaches gets the nearest sample of those around.
         if near.is_empty() {
             self.first(around, |support| (middle - support.truncate()).length_squared())
         } else {
@@ -296,35 +297,38 @@ impl Growing<'_> {
 
     /// The sample whose support has the least key, which is not less than nothing, and of such the first.
     fn first(&self, from: &[u32], key: impl Fn(Vec4) -> f32) -> u32 {
-        // They are in the order of their bits.
+        // Keys that are not negative are in the order of their bits.
         let bits = |i: &u32| u64::from(key(self.supports[*i as usize]).to_bits()) << 32 | u64::from(*i);
         from.iter().map(bits).min().unwrap_or_default() as u32
     }
 }
 
-/// Where the last place was found, as the next one is mostly near it. What is found does not depend on it.
+/// Cell in which the last place was found, as the next one is mostly near it. The results do not depend on
+/// the cell.
 pub struct Finger<'a> {
     cells: &'a HomeOctree,
-    /// The cells around it that are parted, by their level ...
+    /// The parted cells around the last place, by their level ...
     parted: [u32; LEVELS as usize],
-    /// ... and the level and the sample of the one that is not.
+    /// ... and the level and the sample of the finest one, which is not parted.
     level: u32,
     sample: u32,
 }
 
 impl<'a> Finger<'a> {
-    /// One that has found nothing yet: the first place has to [differ](Self::differ) in any digit.
+    /// Finger that has found nothing yet: the first place has to [differ](Self::differ) in any digit.
     pub fn new(cells: &'a HomeOctree) -> Self {
         Self { cells, parted: [0; LEVELS as usize], level: LEVELS, sample: 0 }
     }
 
-    /// How finest cells differ: where two lie in one cell of a level, in no higher digit than is below it.
+    /// Bits in which two finest cells differ: in one cell of a level lie those that differ in no higher digit
+    /// than is below that level.
     #[inline(always)]
     pub fn differ(a: [u32; 3], b: [u32; 3]) -> u32 {
         (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2])
     }
 
-    /// What differs by less from the last place is in the same cell.
+    /// Bound of the bits in which a place [differs](Self::differ) from the last one: a place that differs by
+    /// less is in the same cell.
     #[inline(always)]
     pub fn limit(&self) -> u32 {
         1 << (LEVELS - self.level)
@@ -339,7 +343,7 @@ impl<'a> Finger<'a> {
     /// Goes to a [finest cell](Cells::finest), which differs so from the last one.
     #[inline]
     pub fn go(&mut self, at: [u32; 3], differ: u32) {
-        // Down to this level it is in the same cells as the last one.
+        // Down to this level the place is in the same cells as the last one.
         let mut level = LEVELS.saturating_sub(u32::BITS - differ.leading_zeros());
         let mut parted = self.parted[level as usize];
         loop {
@@ -370,7 +374,8 @@ impl HomeOctree {
 /// The whole part of numbers, of which none is less than nothing, or the nearest that is the place of a cell.
 #[inline(always)]
 fn whole<S: Simd>(way: Lanes<S>) -> S::u32s {
-    // What is added to that has no digits behind the point, and the whole part in its last ones.
+    // Number beyond which singles have no digits behind the point; the whole part of an added number is in
+    // the last ones.
     const SHIFT: f32 = (1 << 23) as f32;
     let splat = |x: f32| Lanes::splat(way.0, x);
     let (shift, zero, one) = (splat(SHIFT), splat(0.0), splat(1.0));

@@ -25,7 +25,7 @@ const NEAR: f32 = 0.25;
 /// Neighbours of a sample that have a say in its tangent plane.
 pub const RING: usize = 6;
 
-/// What homes are found with.
+/// Samples, sheets and cells among which homes are looked up.
 #[derive(Clone, Copy)]
 pub struct Homes<'a> {
     samples: &'a SampleSet,
@@ -64,7 +64,7 @@ impl<'a> Homes<'a> {
     /// The home of a place that is near a sample.
     #[inline(never)]
     fn among_sheets(&self, p: Vec3, near: u32) -> u32 {
-        // Where parts touch, it is known which sheet some places are on.
+        // The sheet of some places is known, where parts of the model touch.
         match self.samples.contacts().and_then(|contacts| contacts.sample_at(p)) {
             Some(own) => self.nearest_on_sheet(own, p),
             None => self.on_its_sheet(near, p),
@@ -143,7 +143,7 @@ impl<'a> Homes<'a> {
 /// Positions whose cells are found before their homes.
 const TOGETHER: usize = 256;
 
-/// Length of a list that has room for vectors which begin within so many numbers.
+/// Length of a list that has room for vectors which begin within `count` numbers.
 pub fn with_room(count: usize) -> usize {
     count + PACKET
 }
@@ -320,7 +320,7 @@ mod tests {
                 let reaches = |i: u32| cells.depth(i, *p) < 0.999;
                 let reached = (0..points.len() as u32).any(|i| reaches(i) && around.supports.radius[i as usize] > 1e-9);
                 let crowded = (0..points.len()).any(|i| around.sheets.is_crowded(i));
-                // Where sheets are near, those who reach a place may be on another one.
+                // Supports that reach a place may be of another sheet, where sheets are near.
                 if reached && !crowded {
                     prop_assert!(cells.depth(*home, *p) < 1.0, "{p}: {home}");
                 }

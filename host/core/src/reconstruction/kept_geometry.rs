@@ -1,12 +1,12 @@
-//! What is known of the samples at rest, kept beside them: `rest.bin`. The first reconstruction finds it, and
+//! Geometry of the samples at rest, kept beside them in `rest.bin`. The first reconstruction finds it, and
 //! all others read it.
 //!
-//! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as
-//! differences of their numbers; the sheets that are not just those; the order of the supports around each
-//! home; the cells by which homes are found; and normals, where they were estimated. What follows from these
-//! and the samples' places, as distances and radii, is computed anew. It is a cache: where it is not there,
-//! damaged, or of other samples, all is found as if there were none, and where it cannot be written, nobody
-//! misses it.
+//! The file is [sealed](crate::sealed). It has the parts that take time to find, and are small: neighbours,
+//! as differences of their numbers; the sheets that are not just those; the order of the supports around each
+//! home; the cells by which homes are found; and normals, where they were estimated. Numbers that follow from
+//! these and the samples' places, as distances and radii, are computed anew. The file is a cache: where it is
+//! not there, damaged, or of other samples, all is found as if there were none, and where it cannot be
+//! written, nobody misses it.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -32,7 +32,7 @@ use crate::varint::{self, VarintNumbers};
 
 const LETTERS: &[u8; 8] = b"SIMODRST";
 
-/// To be counted up whenever the format changes, or what is found of the same samples.
+/// Version of the file, counted up whenever the format changes, or the geometry of the same samples.
 const VERSION: u32 = 1;
 
 /// Samples whose lists are packed by one job.
@@ -48,10 +48,10 @@ const USUAL: u64 = 110;
 /// Bytes that a file of any number of samples may have.
 const LEAST: u64 = 1 << 16;
 
-/// What a home's list has in place of a neighbour: the home itself.
+/// Code in a home's list, in place of a neighbour, for the home itself.
 const ITSELF: u8 = LONGEST as u8;
 
-/// What a home's list has in place of a neighbour: a sample that is none, whose difference follows.
+/// Code in a home's list, in place of a neighbour, for another sample, whose difference follows.
 const OTHER: u8 = ITSELF + 1;
 
 /// The content of the file.
@@ -72,7 +72,7 @@ struct RestFile<'a> {
     pieces: Vec<SamplePiece<'a>>,
 }
 
-/// What is known of [`TOGETHER`] samples.
+/// Neighbours and supports of [`TOGETHER`] samples, packed.
 #[derive(Serialize, Deserialize)]
 struct SamplePiece<'a> {
     #[serde(serialize_with = "as_bytes")]
@@ -89,15 +89,15 @@ fn as_bytes<S: Serializer>(bytes: &[u8], to: S) -> std::result::Result<S::Ok, S:
 }
 
 impl<'a> RestGeometry<'a> {
-    /// What is known of a model's samples at rest: as somebody found it before, as it was kept beside them,
-    /// or found now.
+    /// Geometry of a model's samples at rest: as it is held from before, as it was kept beside them, or found
+    /// now.
     pub fn kept(sampled: &'a SampledModel) -> Self {
         let held = Self::held(&sampled.samples).or_else(|| kept(sampled));
         held.unwrap_or_else(|| Self::new(&sampled.samples))
     }
 }
 
-/// What was kept beside the samples, if it is there, whole, and of these.
+/// Geometry that was kept beside the samples, if it is there, whole, and of these samples.
 pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
     let samples = sampled.samples.len() as u64;
     let around = unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)?;
@@ -109,14 +109,14 @@ pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
 ///
 /// Memory: 110 bytes per sample.
 pub(super) fn keep(sampled: &SampledModel, around: &RestGeometry<'_>) {
-    // Nobody misses it.
+    // A file that cannot be written is not missed.
     let bytes = USUAL * sampled.samples.len() as u64;
     if sampled.keep_beside(REST, bytes, |file| pack(around, file)).is_ok() {
         around.set_kept();
     }
 }
 
-/// Hash of all that is looked at where it is found.
+/// Hash of all that the geometry is found by.
 fn key(samples: &SampleSet) -> u128 {
     let mut hash = Xxh3Default::new();
     hash.update(env!("CARGO_PKG_VERSION").as_bytes());
@@ -216,7 +216,7 @@ fn pack_sheets(sheets: &Sheets, samples: usize) -> Vec<u8> {
     to
 }
 
-/// What the bytes of a file tell of samples; `None` if it is damaged, or of others.
+/// Geometry of samples from the bytes of a file; `None` if the file is damaged, or of other samples.
 pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeometry<'a>> {
     let (version, content) = unseal(bytes, LETTERS).ok()?;
     (version == VERSION).then_some(())?;
@@ -232,7 +232,8 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
-    // At last, as whoever finds them anew otherwise shall not go by what was read.
+    // Normals and neighbours are set at last, as whoever finds the geometry anew otherwise shall not go by
+    // damaged ones.
     (samples.set_normals(normals) && samples.set_neighbours(sheets.graph().clone())).then_some(())?;
     let around = RestGeometry::known(samples, sheets, supports);
     around.set_cells(cells);
@@ -247,7 +248,7 @@ fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
 
 fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>]) -> Option<NeighbourGraph> {
     let k = NEIGHBOURS.min(samples - 1);
-    // Before anything is held by what it says.
+    // The lengths of all pieces are checked before anything is held by what the file says.
     let is_there = |(at, piece): (usize, &SamplePiece<'_>)| {
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
@@ -290,7 +291,8 @@ fn unpack_lists(samples: usize, numbers: &mut VarintNumbers<'_>) -> Option<Vec<L
     Some(lists)
 }
 
-/// The homes' lists of who reaches there, and where each ends; how far each reaches is not known yet.
+/// Lists of the supports that reach each home, and the end of each list; the distances from which on supports
+/// reach are not known yet.
 fn unpack_orders(
     sheets: &Sheets,
     samples: usize,

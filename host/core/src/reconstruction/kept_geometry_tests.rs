@@ -1,4 +1,4 @@
-//! What is kept of the samples at rest is what was found, and nothing else is taken for it.
+//! Tests: the geometry of samples at rest is kept as it was found, and nothing else is taken for it.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ fn pack(around: &RestGeometry<'_>) -> Vec<u8> {
     bytes
 }
 
-/// All that is kept of samples, as bits.
+/// All of the geometry that is kept of samples, as bits.
 fn known(around: &RestGeometry<'_>) -> Vec<Vec<u32>> {
     let samples = around.samples;
     let mut all: Vec<Vec<u32>> = (0..samples.len())
@@ -77,7 +77,7 @@ fn what_was_kept_is_what_was_found() {
         (two.clone(), facing),
         (two, Vec::new()),
         (uneven(3000), Vec::new()),
-        // All at one place, and in heaps.
+        // Samples all at one place, and in heaps.
         (vec![Vec3::ONE; 40], Vec::new()),
         ((0..900).map(|i| Vec3::new((i / 15) as f32, 0.0, (i / 150) as f32)).collect(), Vec::new()),
     ];
@@ -89,7 +89,7 @@ fn what_was_kept_is_what_was_found() {
         let again = set(&points, &normals);
         let kept = unpack(&again, &bytes).expect("what was kept");
         assert!(known(&kept) == known(&found), "{} samples", points.len());
-        // Of other samples, or of the same with other normals, it is not.
+        // Geometry is not taken for other samples, or for the same ones with other normals.
         let mut others = points.clone();
         others[0].x += 1e-3;
         assert!(unpack(&set(&others, &normals), &bytes).is_none());
@@ -105,7 +105,7 @@ fn what_is_found_is_found_once() {
     let supports = |samples: &SampleSet| RestGeometry::new(samples).supports.clone();
     let first = supports(&samples);
     assert!(Arc::ptr_eq(&first, &supports(&samples)));
-    // Who is on whose sheet is told otherwise from now on.
+    // Contacts that are set anew change the sheets of samples.
     samples.set_contacts(None);
     assert!(!Arc::ptr_eq(&first, &supports(&samples)));
 }

@@ -8,7 +8,7 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 
 use pulp::Simd;
 
-/// The most vertices that any processor takes at once.
+/// Largest number of vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
 /// One number for each vertex of a packet.
@@ -34,19 +34,19 @@ impl<S: Simd> Lanes<S> {
         Self(self.0, self.0.min_f32s(self.1, other.1))
     }
 
-    /// Where it is less than another.
+    /// Mask of the lanes in which this number is less than that of `than`.
     #[inline(always)]
     pub fn less(self, than: Self) -> Mask<S> {
         Mask(self.0, self.0.less_than_f32s(self.1, than.1))
     }
 
-    /// Where it is no more than another.
+    /// Mask of the lanes in which this number is less than that of `than`, or equal.
     #[inline(always)]
     pub fn less_or_equal(self, than: Self) -> Mask<S> {
         Mask(self.0, self.0.less_than_or_equal_f32s(self.1, than.1))
     }
 
-    /// Where it is between two others, or the same as one of them.
+    /// Mask of the lanes in which this number is between those of `low` and `high`, or equal to one of them.
     #[inline(always)]
     pub fn within(self, low: Self, high: Self) -> Mask<S> {
         low.less_or_equal(self).and(self.less_or_equal(high))
@@ -78,7 +78,7 @@ impl<S: Simd> Lanes<S> {
         Self(self.0, self.0.sqrt_f32s(self.1))
     }
 
-    /// `positive` where it is more than zero, and `other` elsewhere.
+    /// Lanes of `positive` where this number is more than zero, and of `other` elsewhere.
     #[inline(always)]
     pub fn where_positive(self, positive: Self, other: Self) -> Self {
         Self::splat(self.0, 0.0).less(self).select(positive, other)
@@ -92,18 +92,18 @@ impl<S: Simd> Lanes<S> {
     }
 }
 
-/// Whether something holds, for each vertex of a packet.
+/// Mask: a truth value for each vertex of a packet.
 #[derive(Clone, Copy)]
 pub struct Mask<S: Simd>(S, S::m32s);
 
 impl<S: Simd> Mask<S> {
-    /// Where both hold.
+    /// Mask of the lanes in which both are true.
     #[inline(always)]
     pub fn and(self, other: Self) -> Self {
         Self(self.0, self.0.and_m32s(self.1, other.1))
     }
 
-    /// Whether it holds anywhere.
+    /// Whether the mask is true for any vertex.
     #[inline(always)]
     pub fn any(self) -> bool {
         // Bits of a number are looked at all at once, and numbers of a vector by their largest.
@@ -128,13 +128,13 @@ impl<S: Simd> Mask<S> {
     }
 }
 
-/// What stands at a place of three lists.
+/// Entries of three lists at place `at`.
 #[inline(always)]
 pub fn triple<S: Simd>(simd: S, of: &[&[S::f32s]; 3], at: usize) -> [Lanes<S>; 3] {
     [Lanes(simd, of[0][at]), Lanes(simd, of[1][at]), Lanes(simd, of[2][at])]
 }
 
-/// What stands from a place on in three lists, which need not be one of whole packets.
+/// Entries of three lists from place `at` on, which need not be the start of a packet.
 #[inline(always)]
 pub fn triple_from<S: Simd>(simd: S, of: [&[f32]; 3], at: usize) -> [Lanes<S>; 3] {
     let x = S::as_simd_f32s(&of[0][at..at + S::F32_LANES]).0[0];

@@ -1,7 +1,7 @@
-//! The least squares of second-order expansions: how a sample's neighbours tell its terms.
+//! Least squares for the terms of second-order expansions, fitted to a sample's neighbours.
 //!
-//! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine
-//! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
+//! The residual of the affine map of [`gradients`](super::gradients) at the neighbours is explained by nine
+//! terms for each coordinate, with a ridge that follows from the residual of these in their turn (N. Wiener,
 //! *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949).
 //!
 //! As many samples are fitted at once as the processor's vector registers take, each by the same operations
@@ -24,8 +24,8 @@ const RIDGE: f64 = 1e-7;
 /// ... and the least one, which keeps rounding from being followed.
 const LEAST_RIDGE: f64 = 1e-11;
 
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
-/// the affine map leaves over.
+/// Expected square of the terms of a fit, as a multiple of the squares of the strain and of the residual of
+/// the affine map.
 const EXPECTED: f64 = 4.0;
 
 /// Terms of a second-order expansion without its constant: x, y, z, xx, xy, xz, yy, yz, zz.
@@ -44,19 +44,19 @@ const USELESS: f64 = 0.3;
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
 
-/// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the
-/// terms in units of the neighbourhood's radius.
+/// Sums of the squares of the affine map's residual at the neighbours of each sample, which is to be
+/// explained by the terms in units of the neighbourhood's radius.
 pub struct LeastSquares<S: Simd> {
     simd: S,
-    /// One over the radius; 1 where that is nothing, and nothing is gathered.
+    /// One over the radius; 1 where the radius is zero, and nothing is gathered.
     pub scale: DoubleLanes<S>,
-    /// Lower triangle of the products of terms, and the products with what is to be explained.
+    /// Lower triangle of the products of terms, and the products of the terms with the residual.
     matrix: [[DoubleLanes<S>; TERMS]; TERMS],
     right: Terms<S>,
     /// The sums of the weights, and of their squares.
     pub weights: DoubleLanes<S>,
     squared_weights: DoubleLanes<S>,
-    /// The weighted sum of squares of what is to be explained.
+    /// Weighted sum of the residual's squares.
     squares: DoubleLanes<S>,
     /// The largest of that, as the square of a length.
     largest: DoubleLanes<S>,
@@ -136,7 +136,7 @@ impl<S: Simd> LeastSquares<S> {
         self.largest = self.largest.max(left);
     }
 
-    /// Where more is to be explained than rounding makes.
+    /// Mask of the samples with a larger residual of the affine map than rounding makes.
     #[inline(always)]
     pub fn is_needed(&self) -> DoubleMask<S> {
         DoubleLanes::splat(self.simd, ROUNDING * ROUNDING).less(self.largest)
@@ -148,7 +148,7 @@ impl<S: Simd> LeastSquares<S> {
     pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
         let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge * self.weights);
         let terms = factor.solve(self.right);
-        // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
+        // For the least squares c, the residual is Σ w|r|² − c·b, up to the ridge.
         let mut explained = DoubleLanes::splat(self.simd, 0.0);
         for (term, right) in terms.iter().zip(&self.right) {
             for axis in 0..3 {
@@ -159,35 +159,35 @@ impl<S: Simd> LeastSquares<S> {
         (terms, (one - explained / self.squares).max(zero), is_found)
     }
 
-    /// The terms with the ridge of a Wiener filter for this strain: what a fit almost without a ridge leaves
-    /// over is noise, beside what terms may amount to.
+    /// Terms with the ridge of a Wiener filter for this strain: the residual of a fit almost without a ridge
+    /// is noise, beside the size that terms may have.
     #[inline(always)]
     pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let (_, left, is_found) = self.ridged(splat(LEAST_RIDGE));
-        // What nine terms leave over of few neighbours is less than they are off by.
+        // The residual of nine terms fitted to few neighbours is less than the noise of these.
         let noise = left * self.squares / (splat(EXPECTED) * self.free() * self.signal(strain));
         let ridge = (splat(LEAST_RIDGE) + noise).min(splat(RIDGE));
         let (terms, left, is_solved) = self.ridged(ridge);
         (terms, left, ridge, is_found.and(is_solved))
     }
 
-    /// How little a fit is to be believed that leaves this part of the squares over, from 0 to 1.
+    /// Distrust of a fit that leaves this part of the squares over, from 0 to 1.
     #[inline(always)]
     pub fn trouble(&self, part: DoubleLanes<S>) -> DoubleLanes<S> {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let left = part * self.squares;
         let is_more = (splat(ROUNDING * ROUNDING) * self.weights).less(left);
-        // Beside how much the displacement varies, little matters that is left over of little.
+        // A little residual matters little beside a displacement that varies much.
         let part = (left / self.squares.max(self.variation)).sqrt();
         let t = (part - splat(TROUBLED)) / splat(USELESS - TROUBLED);
         let t = t.max(splat(0.0)).min(splat(1.0));
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// How a fit with this ridge tells the slope e in a direction: x = (A + λ W)⁻¹ e, and x·e; and where they
-    /// could be found. Data r at the neighbours make Σ w r x·t(d) of it, t(d) the terms there. λ W x·e is the
-    /// part of a slope that is left to the prior.
+    /// Response of a fit with this ridge to the slope e in a direction: x = (A + λ W)⁻¹ e, and x·e; and a
+    /// mask of the samples for which both could be found. Data r at the neighbours make a slope of Σ w r
+    /// x·t(d), t(d) the terms there. λ W x·e is the part of a slope that is left to the prior.
     #[inline(always)]
     pub fn response(
         &self,
@@ -208,7 +208,7 @@ impl<S: Simd> LeastSquares<S> {
         (response, along, is_found)
     }
 
-    /// The weighted squares that terms may come to, where the map strains so much.
+    /// Weighted squares that terms may have, where the map has this strain.
     #[inline(always)]
     pub fn signal(&self, strain: DoubleLanes<S>) -> DoubleLanes<S> {
         let extent = strain / self.scale;
@@ -267,7 +267,8 @@ const OF_FOURTH: [[usize; 2]; 15] = [
 ];
 
 impl<S: Simd> ProductSums<S> {
-    /// Adds those of a place, of which the products of two coordinates are `second`; gives these, weighted.
+    /// Adds a term's products at a place, of which the products of two coordinates are `second`; returns
+    /// these, weighted.
     #[inline(always)]
     fn include(
         &mut self,
@@ -315,8 +316,8 @@ struct DenseFactor<S: Simd> {
 }
 
 impl<S: Simd> DenseFactor<S> {
-    /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal;
-    /// and where they are positive definite.
+    /// Factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and
+    /// a mask of those that are positive definite.
     #[inline(always)]
     fn factorize(
         simd: S,
@@ -335,7 +336,7 @@ impl<S: Simd> DenseFactor<S> {
                 rows[i][j] = sum;
             }
             let pivot = rows[j][j];
-            // What is no number is neither.
+            // A pivot that is no number is not positive either.
             let is_positive = zero.less(pivot).and(pivot.less(most));
             is_definite = is_definite.and(is_positive);
             let inverse = one / is_positive.select(pivot, one).sqrt();

@@ -16,15 +16,15 @@ use super::blended_jets::TroubledSample;
 use super::expansion::Expansion;
 use super::transport::Transport;
 
-/// Where a sample would take what is around it, were there no second order.
+/// First-order displacement around a sample, with the gradient that prevails there.
 #[derive(Debug, Clone, Copy)]
 struct PrevailingSlope {
     /// The gradient of the displacement that prevails around the sample.
     slope: Mat3,
-    /// The most that it may make of a way: the largest difference of displacements around the sample from its
-    /// own.
+    /// Largest displacement beyond the sample's own that the gradient may make: the largest difference of
+    /// displacements around the sample from its own.
     most: f32,
-    /// How little the sample's expansion is to be believed, from 0 to 1.
+    /// Distrust of the sample's expansion, from 0 to 1.
     trouble: f32,
 }
 
@@ -43,15 +43,16 @@ impl PrevailingSlope {
     }
 }
 
-/// The homes that troubled samples reach, and what prevails around all samples that reach there.
+/// Homes that the supports of troubled samples reach, and the prevailing slopes of all samples that reach
+/// there.
 ///
 /// Memory: five bytes per sample, four more while it is made, and 44 for each that reaches such a home,
 /// unless no sample is troubled.
 #[derive(Debug, Default)]
 pub struct Limiter {
-    /// Whether a troubled sample reaches the home; empty if none is troubled.
+    /// Whether the support of a troubled sample reaches each home; empty if none is troubled.
     concerned: Vec<bool>,
-    /// For each sample its place in `held`, or [`NONE`].
+    /// Place of each sample in `held`, or [`NONE`].
     place: Vec<u32>,
     held: Vec<PrevailingSlope>,
 }
@@ -109,8 +110,8 @@ impl Limiter {
         (u.lerp(e.displacement() + way, held.trouble), mixed)
     }
 
-    /// What becomes of a vertex at `p`, for which the expansions around its home, which is concerned, give
-    /// `blended`.
+    /// Limited transport of a vertex at `p`, for which the expansions around its home, which is concerned,
+    /// give `blended`.
     pub fn limited(
         &self,
         supports: &Supports,
@@ -119,8 +120,8 @@ impl Limiter {
         p: Vec3,
         blended: Transport,
     ) -> Transport {
-        // Of each support that reaches the vertex: the way from its centre, what is left of 1 at the vertex,
-        // and what prevails around its sample.
+        // For each support that reaches the vertex: the way from its centre, the depth of the vertex in it,
+        // and the prevailing slope of its sample.
         let reaching = || {
             supports.of_home(home).iter().filter_map(|r| {
                 let (e, place) = (&expansions[r.sample as usize], self.place[r.sample as usize]);
@@ -146,7 +147,7 @@ impl Limiter {
         let along = |u: Vec3| (u - mean).dot(departure / length).max(0.0);
         let fourths =
             reaching().map(|(e, d, s, held)| s * s * s * fourth(along(e.displacement() + held.evaluate(d))));
-        // Nearly the furthest of them, but a mean.
+        // A mean that is nearly the furthest of them.
         let most = (fourths.sum::<f32>() / sum).sqrt().sqrt();
         let back = trouble * (1.0 - (most / length).min(1.0));
         if back == 0.0 {

@@ -5,8 +5,8 @@
 //! together, `gradients` fits D's gradient at each, and `blended_jets` expands D about it to second order.
 //! While streaming, `homes` finds the sample around which a vertex lies, by its position alone; `blend`
 //! carries whole blocks of vertices over by the expansions around their homes, or `projected_barycentric`
-//! each vertex in the paper's way; `stream` does so for the whole file. `diagnostics` says what it does to
-//! the surface, and `expected_error` how far it is probably off. Where the map of space itself is known,
+//! each vertex in the paper's way; `stream` does so for the whole file. `diagnostics` tells the stretch and
+//! folds of the surface, and `expected_error` the probable error. Where the map of space itself is known,
 //! `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
 
 mod across;

@@ -5,7 +5,7 @@
 /// Longest list.
 pub const LONGEST: usize = 32;
 
-/// In place of a difference of two bytes: four more bytes have it.
+/// Code in place of a difference of two bytes that says that four more bytes have the difference.
 const FAR: u32 = 0xffff;
 
 /// Bytes that have to follow the last list, as two are read where one may be all.
@@ -33,8 +33,8 @@ pub fn push(of: u32, list: &[u32], to: &mut Vec<u8>) {
     to.extend_from_slice(&bytes[..end]);
 }
 
-/// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something;
-/// `None` if it is not there. The samples may be anything.
+/// Takes a list of as many samples as `list` has off the beginning of `bytes`, [behind](BEHIND) which there
+/// is something; `None` if it is cut off. The samples may be anything.
 pub fn take(of: u32, list: &mut [u32], bytes: &mut &[u8]) -> Option<()> {
     let (long, rest) = bytes.split_first_chunk()?;
     let long = u32::from_le_bytes(*long);
@@ -79,7 +79,7 @@ mod tests {
                 prop_assert_eq!(&back, list);
             }
             prop_assert_eq!(rest, BEHIND);
-            // Cut off, it is none.
+            // Bytes that are cut off give no list.
             let mut rest = &bytes[..bytes.len() / 2];
             let taken = lists.iter().try_for_each(|list| take(of, &mut vec![0; list.len()], &mut rest));
             prop_assert!(lists.is_empty() || taken.is_none() || lists.iter().all(Vec::is_empty));

@@ -6,7 +6,7 @@ use super::rest_geometry::RestGeometry;
 use super::sheets::SHEET_NEIGHBOURS;
 use crate::geometry::hermite;
 
-/// Most samples in a neighbourhood.
+/// Largest number of samples in a neighbourhood.
 pub const MAX_K: usize = 12;
 
 /// The k nearest samples of a vertex on its own sheet, with their weights.
@@ -47,7 +47,7 @@ impl Neighbourhood {
             let distance = if radius > 0.0 { squared.sqrt() / radius } else { 0.0 };
             *slot = (*i, hermite(distance));
         }
-        // All at one distance: no one is nearer than another.
+        // Samples at one distance are all equally near.
         if near[..count].iter().map(|(_, w)| w).sum::<f32>() < 1e-6 {
             near[..count].iter_mut().for_each(|(_, w)| *w = 1.0);
         }

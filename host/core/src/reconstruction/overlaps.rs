@@ -1,7 +1,7 @@
-//! The supports that meet the support of a sample: its own, those of its neighbours, and those of samples
-//! whose neighbour it is, as between sparse and dense samples.
+//! Supports that meet the support of a sample: its own, those of its neighbours, and those of samples that
+//! have it as a neighbour, as between sparse and dense samples.
 //!
-//! What a sample and its neighbours have in common is found for as many at once as the processor's vector
+//! The overlaps of a sample and its neighbours are found for as many at once as the processor's vector
 //! registers take, by the same operations as for one.
 
 use glam::{Vec3, Vec4};
@@ -30,19 +30,19 @@ impl Balls {
         self.0[home].truncate().distance(self.0[j].truncate())
     }
 
-    /// Whether the supports of two samples have anything in common.
+    /// Whether the supports of two samples overlap.
     fn overlap(&self, home: usize, j: usize) -> bool {
         self.distance(home, j) < self.0[home].w + self.0[j].w
     }
 
-    /// The support of a sample, as it is seen from another.
+    /// Support of sample `j`, as it is seen from a home.
     pub fn reaching(&self, home: usize, j: usize) -> ReachingSupport {
         ReachingSupport { from: self.distance(home, j) - self.0[j].w, sample: j as u32 }
     }
 }
 
-/// The supports that reach where each sample is the home: the entries of its list begin and end at a place,
-/// and what lies between two lists is of no meaning.
+/// Lists of the supports that reach each home: a list has a start and an end, and entries between two lists
+/// have no meaning.
 ///
 /// Memory: 8 bytes for each sample that may reach a home, and 8 for each sample; as long as it is found, 32
 /// for each sample besides, and 24 for each that is a neighbour of another which is none of its own.
@@ -58,7 +58,8 @@ impl HomeLists {
         let n = positions.len();
         let balls = Balls::new(positions, radius);
         let one_way = OneWay::find(positions, &balls, sheets);
-        // Places for as many as there may be: so lists that are made side by side stay where they are.
+        // Places are left for as many supports as there may be: so lists that are made side by side stay
+        // where they are.
         let (mut starts, mut most) = (Vec::with_capacity(n), 0);
         for home in 0..n {
             starts.push(most as u32);
@@ -89,10 +90,10 @@ impl HomeLists {
     }
 }
 
-/// For each sample, those whose neighbour it is, but which are none of its own, and whose supports meet its
-/// own: in ascending order.
+/// For each sample, the samples that have it as a neighbour but are not among its own neighbours, and whose
+/// supports meet its own: in ascending order.
 struct OneWay {
-    /// Where those of each sample begin, and the last end.
+    /// Start of each sample's entries in `samples`, and the end of the last.
     starts: Vec<u32>,
     samples: Vec<u32>,
 }
@@ -100,7 +101,8 @@ struct OneWay {
 impl OneWay {
     fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets) -> Self {
         let n = positions.len();
-        // Where a sample's neighbours are its nearest ones, the last tells whom it has.
+        // The last neighbour of a sample whose neighbours are the nearest ones tells which samples are
+        // neighbours.
         let last = |i: usize| match sheets.of_sample(i).last() {
             Some(last) if !sheets.is_crowded(i) => {
                 (positions[i].distance_squared(positions[*last as usize]), *last)
@@ -112,7 +114,7 @@ impl OneWay {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
             Arch::new().dispatch(NeighbourQuery { balls, sheets, last: &last, samples })
         };
-        // The home, and the one whose neighbour it is: these ascending.
+        // Pairs of a home and a sample that has it as a neighbour: these ascending.
         let pairs: Vec<(u32, u32)> = (0..n.div_ceil(TOGETHER)).into_par_iter().flat_map_iter(job).collect();
         let (starts, samples) = lists(n, pairs.iter().copied());
         Self { starts, samples }
@@ -130,14 +132,14 @@ struct NeighbourSupports {
     radius: [f32; SHEET_NEIGHBOURS],
     /// The squares of their distances.
     squares: [f32; SHEET_NEIGHBOURS],
-    /// How near to the sample they reach.
+    /// Distance from the sample at which each neighbour's support begins.
     from: [f32; SHEET_NEIGHBOURS],
     /// 1 where they meet the sample's own support, and 0 elsewhere.
     overlap: [f32; SHEET_NEIGHBOURS],
 }
 
 impl NeighbourSupports {
-    /// Looks at the neighbours of a sample. What lies behind them is of no meaning.
+    /// Gathers the neighbours of a sample. Entries behind them have no meaning.
     #[inline(always)]
     fn look<S: Simd>(&mut self, simd: S, balls: &Balls, sample: usize, near: &[u32]) {
         for (at, j) in near.iter().enumerate() {
@@ -185,7 +187,8 @@ impl WithSimd for NeighbourQuery<'_> {
         for sample in samples {
             let near = sheets.of_sample(sample);
             around.look(simd, balls, sample, near);
-            // Those that may be, without a branch, as which ones they are cannot be foretold.
+            // The neighbours that may not have the sample as theirs are collected without a branch, as which
+            // ones they are cannot be foretold.
             let (mut chosen, mut count) = ([0; SHEET_NEIGHBOURS], 0);
             for (at, home) in near.iter().enumerate() {
                 chosen[count] = at;
@@ -214,10 +217,10 @@ struct Listing<'a> {
     balls: &'a Balls,
     sheets: &'a Sheets,
     one_way: &'a OneWay,
-    /// Where the lists of all homes begin.
+    /// Start of the lists of all homes.
     starts: &'a [u32],
     first: usize,
-    /// The places of these lists, and where each ends among those of all.
+    /// Places of these lists, and the end of each among those of all.
     part: &'a mut [ReachingSupport],
     ends: &'a mut [u32],
 }

@@ -10,17 +10,17 @@ use pulp::Simd;
 
 use crate::double_lanes::{DoubleLanes, MOST_LANES, Triple};
 
-/// Most neighbours of a sample in a fit.
+/// Largest number of neighbours of a sample in a fit.
 pub const MOST_NEIGHBOURS: usize = 28;
 
 /// The neighbours of several samples, place by place in their lists, as ways from the samples.
 ///
-/// They are gathered before any is loaded: a vector that is loaded right behind its numbers, which are stored
-/// one by one, has to wait for these.
+/// All neighbours are gathered before any is loaded: a vector that is loaded right behind its numbers, which
+/// are stored one by one, has to wait for these.
 pub struct Neighbours {
     /// Samples around which nothing moves, themselves included.
     pub is_still: [bool; MOST_LANES],
-    /// One over the radius of the kernel; 1 where that is nothing, and nobody is gathered.
+    /// One over the radius of the kernel; 1 where the radius is zero, and no neighbours are gathered.
     pub scale: [f64; MOST_LANES],
     /// Places of the longest list.
     pub longest: usize,
@@ -73,7 +73,7 @@ impl Neighbours {
             let (near, radius) = around(packet[lane]);
             let is_still = |i: usize| positions[i] == deformed[i];
             self.is_still[lane] = is_still(packet[lane]) && near.iter().all(|j| is_still(*j as usize));
-            // Of neighbours that all lie at one place, nothing can be told.
+            // Neighbours that all lie at one place tell nothing.
             if radius > 0.0 {
                 self.scale[lane] = 1.0 / f64::from(radius);
                 (lists[lane], self.longest) = (near, near.len().max(self.longest));
@@ -86,7 +86,7 @@ impl Neighbours {
             for (place, j) in self.positions.iter_mut().zip(list) {
                 set(place, lane, positions[*j as usize], deformed[*j as usize]);
             }
-            // Where a list is over, the sample itself, to which there is no way.
+            // The places behind a list's end get the sample itself, to which there is no way.
             for place in &mut self.positions[list.len()..self.longest] {
                 set(place, lane, positions[i], deformed[i]);
             }

@@ -1,5 +1,5 @@
-//! The file of a part: its bytes, unless they are in a file, a folder or an object that parts share, and
-//! behind them a record of what they are.
+//! File of a part: its bytes, unless they are in a file, a folder or an object that parts share, and behind
+//! them a record of them.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -17,51 +17,51 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::fingerprint::HashedPart;
 use crate::sealed::{seal, unsealed};
 
-/// What the record of a part begins with.
+/// First letters of the record of a part.
 const LETTERS: &[u8; 8] = b"simodprt";
 
 const VERSION: u32 = 2;
 
-/// No record is longer: of a part of 256 TiB.
+/// Most bytes of a record: that of a part of 256 TiB.
 const LONGEST: u64 = 16 << 30;
 
 /// Bytes that are copied at a time.
 const BLOCK: usize = 1 << 20;
 
-/// What stands behind the bytes of a part.
+/// Record behind the bytes of a part.
 #[derive(Serialize, Deserialize)]
 pub(super) struct PartRecord {
     /// Hash of all that determines the bytes of the whole.
     pub(super) key: String,
     /// The numbers of the model's pieces that the part holds.
     pub(super) pieces: Range<u64>,
-    /// Where the bytes are in the file, or the object, that parts share, if they are there.
+    /// Offset of the part's bytes in the file, or the object, that parts share, if they are there.
     pub(super) place: Option<u64>,
-    /// What of them is in an object, if parts share one; the others are here.
+    /// Bytes of the part that are in an object, if parts share one; the others are in the part's own file.
     pub(super) sent: Option<Sent>,
-    /// How many there are here or there.
+    /// Number of the part's bytes, in either place.
     pub(super) bytes: u64,
     pub(super) checksum: u128,
     /// The files in the folder that parts share, if the pieces are tiles: 25 bytes each.
     pub(super) tiles: Vec<WrittenFile>,
-    /// What other places of the file have to know of them, in a word.
+    /// Summary of the part's bytes that other places of the output need, as a word.
     pub(super) summary: Option<String>,
     pub(super) hashed: HashedPart,
-    /// How many samples are folded, and where the first of them is, in the model's coordinates.
+    /// Number of folded samples, and the position of the first of them, in the model's coordinates.
     pub(super) folded: (u64, Option<[f64; 3]>),
 }
 
-/// What of a part was sent to an object.
+/// Bytes of a part that were sent to an object.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Sent {
-    /// The upload.
+    /// Id of the upload.
     pub(super) id: String,
-    /// So many bytes come before it, and behind it: they are of parts of the object that others have the rest
-    /// of.
+    /// Number of bytes before those that were sent, and behind them: they are of parts of the object that
+    /// others have the rest of.
     pub(super) before: u64,
     pub(super) behind: u64,
     pub(super) checksum: u128,
-    /// What the store knows the object's parts between these by.
+    /// Tags by which the store knows the object's parts that were sent.
     pub(super) tags: Vec<String>,
 }
 
@@ -76,7 +76,7 @@ impl PartRecord {
     }
 }
 
-/// What a part is of, and what is known of it beside its bytes.
+/// Identity of a part's content, and the findings while its bytes are written.
 pub(super) struct PartContent {
     pub(super) key: String,
     pub(super) pieces: Range<u64>,
@@ -84,7 +84,7 @@ pub(super) struct PartContent {
     pub(super) folded: (u64, Option<[f64; 3]>),
 }
 
-/// Where the bytes of a part go.
+/// Destination of the bytes of a part.
 pub(super) enum PartTarget<'a> {
     /// To its own file.
     Own,
@@ -96,13 +96,13 @@ pub(super) enum PartTarget<'a> {
     Object(ObjectRange, String),
 }
 
-/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote
-/// to the shared file.
+/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but the bytes that
+/// it wrote to the shared file.
 pub(super) struct PartFile<'a> {
     // Dropped first, while nobody else can begin the part.
     to: PartTarget<'a>,
     own: OutputFile,
-    /// Where it begins in the file that is read.
+    /// Offset of the part's bytes in the file that is read.
     place: u64,
     bytes: u64,
     hash: Xxh3Default,
@@ -116,7 +116,7 @@ impl<'a> PartFile<'a> {
         Self { to, own, place: 0, bytes: 0, hash, summary }
     }
 
-    /// Says in the part's own file, which is called `path`, that it is done.
+    /// Records in the part's own file, which is called `path`, that the part is done.
     pub(super) fn commit(mut self, content: PartContent, path: &Path) -> Result<()> {
         let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
         // First, so that no record speaks of bytes that are not on the disk, or in the store.
@@ -208,12 +208,12 @@ impl Output for PartFile<'_> {
     }
 }
 
-/// Why a part is not of the others, or of what is written.
+/// Error of a part that belongs to other parts, or to another output.
 pub(super) fn refused(path: &Path, what: &str) -> Error {
     Error::mismatch(format!("{} {what}", path.display()), "remove it, and write that part again")
 }
 
-/// What is broken of a part.
+/// Error of a damaged part.
 pub(super) fn damaged(path: &Path, what: &str) -> Error {
     Error::format(format!("{} is damaged: {what}", path.display()), "remove it, and write that part again")
 }
@@ -242,7 +242,7 @@ pub(super) fn open(path: &Path) -> Result<(File, PartRecord)> {
     Ok((file, record))
 }
 
-/// Hands on so many bytes, and looks whether they have their checksum.
+/// Copies `left` bytes, and checks that they have their checksum.
 pub(super) fn copy(
     mut from: impl Read,
     (mut left, checksum): (u64, u128),

@@ -2,11 +2,11 @@
 //! order, as often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct)
 //! writes.
 //!
-//! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all
-//! parts share, and that becomes the output in the end; or into an object, by one upload of all; tiles go to
-//! a folder that parts share. Otherwise each part has them in a [file of its own](super::part_file), and they
-//! are copied. Behind them stands a record: what they are of, their checksum, what other places of the file
-//! have to know of them, and what the vertices that were read add to the model's hash.
+//! Bytes of a part whose place is known beforehand go there at once, into a file that all parts share, and
+//! that becomes the output in the end; or into an object, by one upload of all; tiles go to a folder that
+//! parts share. Otherwise each part has its bytes in a [file of its own](super::part_file), from which they
+//! are copied. Behind them stands a record: the key of their content, their checksum, the summary that other
+//! places of the file need, and the contribution of the vertices that were read to the model's hash.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -36,7 +36,7 @@ use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{BlockHash, HashedPart};
 use crate::sampled_model::SampledModel;
 
-/// What parts share.
+/// Destination that all parts share.
 #[derive(Debug, Clone, Copy)]
 pub enum SharedTarget<'a> {
     /// A file, or a folder for tiles.
@@ -46,7 +46,7 @@ pub enum SharedTarget<'a> {
 }
 
 impl SharedTarget<'_> {
-    /// Whether it has what a record of a model speaks of.
+    /// Whether the destination has the bytes that a record of the model's part tells of.
     fn has(&self, record: &PartRecord, model: &dyn Model) -> bool {
         match (self, &record.sent, record.place) {
             (Self::Object(_, id), Some(sent), _) => sent.id == *id,
@@ -83,7 +83,7 @@ pub struct Part<'a> {
     pub pieces: Range<u64>,
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
-    /// What all parts share.
+    /// Destination that all parts share.
     pub shared: SharedTarget<'a>,
 }
 
@@ -115,7 +115,7 @@ pub fn write_part(
     check_reach(sampled, model, std::iter::once(deformed))?;
     let bytes_of = |all: u64| part_of(all, pieces, model, how.normals);
     let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
-    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the
+    // A file that is there tells of bytes that are written over from here on; if there is none, so much the
     // better.
     let _ = fs::remove_file(own);
     let mut part = PartFile::new(own_file, place_of_bytes(model, shared, how.normals)?);
@@ -153,8 +153,8 @@ pub fn write_part(
     Ok(true)
 }
 
-/// Where the bytes of a part go: to what all parts write, where the model's bytes keep their places, and
-/// otherwise to the part's own file.
+/// Destination of a part's bytes: what all parts write to, where the model's bytes keep their places, and
+/// otherwise the part's own file.
 fn place_of_bytes<'a>(
     model: &'a dyn Model,
     shared: &SharedTarget<'a>,
@@ -174,7 +174,7 @@ fn place_of_bytes<'a>(
     })
 }
 
-/// How many of all bytes a part has, about.
+/// About the number of bytes of a part, of `all` bytes.
 fn part_of(all: u64, pieces: &Range<u64>, model: &dyn Model, normals: Normals) -> u64 {
     let (part, whole) = if model.tiles().is_empty() {
         let whole = model.division(normals).map_or(1, |division| division.pieces);
@@ -194,7 +194,8 @@ fn lost_tile(record: &PartRecord, model: &dyn Model, shared: &Path) -> Option<Pa
 }
 
 /// Puts parts together, which are of all pieces that can be written by themselves from the first with
-/// vertices on, in their order: the whole model, which appears at once. `shared` is what they share.
+/// vertices on, in their order: the whole model, which appears at once. `shared` is the parts' shared
+/// destination.
 ///
 /// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each; of an
 /// object, as of [`ObjectOutput`].
@@ -258,10 +259,10 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
     }
 }
 
-/// The whole that parts are put together to, where they are not in their places in a file.
+/// Output to which parts are put together, where they are not in their places in a file.
 struct Joined {
     to: JoinedTarget,
-    /// The upload by which parts have sent what of them they could, if they have.
+    /// Upload by which the parts have sent their bytes, as far as they could; `None` if they have not.
     sent: Option<String>,
 }
 
@@ -358,7 +359,7 @@ fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
         .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string()).because(e)))
 }
 
-/// Parts that are put together, and what they have to be.
+/// Parts that are put together, and the key and the order that they have to have.
 struct PartJoin<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
@@ -366,20 +367,20 @@ struct PartJoin<'a> {
     paths: Vec<&'a Path>,
     output: &'a Path,
     key: String,
-    /// The first of the pieces that they are of, and the one behind the last.
+    /// First of the pieces that the parts are of, and the one behind the last.
     first: u64,
     end: u64,
     normals: Normals,
-    /// What is done to the pieces before and behind.
+    /// Edit of the pieces before and behind the parts, which stay as they are.
     edit: Nothing,
     progress: &'a dyn Progress,
 }
 
-/// What parts say of themselves.
+/// Sums of the records of the parts.
 struct PartSums {
     summary: Summary,
     folding: Option<Folding>,
-    /// Where the last one ends in the file that they share.
+    /// End of the last part in the file that the parts share.
     end: u64,
 }
 
@@ -398,7 +399,7 @@ impl PartJoin<'_> {
             Ok(())
         })?;
         let names: Vec<PathBuf> = model.tiles().iter().map(|tile| tile.name.clone()).collect();
-        // Killed when the output was in its place, and nobody had been told so.
+        // An earlier call may have been killed when the output was in its place, before it could say so.
         if names.iter().zip(&written).all(|(name, file)| file.is(&output.join(name))) {
             settle(shared, output)?;
             return Ok(found.folding);
@@ -416,12 +417,13 @@ impl PartJoin<'_> {
         let found = self.check(|_, _, _| Ok(()))?;
         let is_short = !reaches(shared, found.end);
         if is_short || has_holes(shared) {
-            // Killed when the output was in its place, and nobody had been told so: then there is no file, or
-            // one that a part has begun anew since, without the others.
+            // An earlier call may have been killed when the output was in its place, before it could say so:
+            // then there is no file, or one that a part has begun anew since, without the others.
             match self.is_there(self.output) {
                 Ok(()) => {
                     let _ = fs::remove_file(shared);
-                    // The process that begins the output anew removes what a killed one has left beside it.
+                    // The process that begins the output anew removes the files that a killed one has left
+                    // beside it.
                     drop(OutputFile::create(self.output, 0));
                     return Ok(found.folding);
                 }
@@ -433,7 +435,7 @@ impl PartJoin<'_> {
         self.progress.begin("putting the parts together", 0);
         let mut file = SharedFile::open(shared)?;
         self.rewrite(self.before(), &mut file)?;
-        // Nothing of the parts is written here: how far they reach is in their records.
+        // Parts are not written here: their ends are in their records.
         let end = found.end.max(file.position());
         if !reaches(shared, end) {
             return Err(refused(shared, "is cut off: remove all parts"));
@@ -445,7 +447,8 @@ impl PartJoin<'_> {
         Ok(found.folding)
     }
 
-    /// Writes the parts behind each other; where they were `sent` by an upload, only what it does not have.
+    /// Writes the parts behind each other; where they were `sent` by an upload, only the bytes that the
+    /// upload does not have.
     fn one_after_the_other(&self, sent: Option<&str>) -> Result<Option<Folding>> {
         let bytes = self.model.written_bytes();
         let join = || -> Result<PartSums> {
@@ -484,7 +487,7 @@ impl PartJoin<'_> {
         self.model.rewrite(&mut [to], rewriting, &self.edit, self.progress)
     }
 
-    /// Takes the parts in their order, and what they say together.
+    /// Takes the parts in their order, and sums up their records.
     fn check(&self, mut take: impl FnMut(&Path, File, &PartRecord) -> Result<()>) -> Result<PartSums> {
         let (mut hash, mut next) = (BlockHash::default(), self.first);
         let mut found = PartSums { summary: Summary::default(), folding: None, end: 0 };
@@ -548,8 +551,8 @@ impl PartJoin<'_> {
     }
 }
 
-/// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk
-/// compresses.
+/// Whether less of a file is on the disk than its length says: parts of the file were not written, or the
+/// disk compresses.
 fn has_holes(path: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -578,7 +581,7 @@ impl Read for ObjectReader<'_> {
     }
 }
 
-/// What comes behind the parts, which have told so much of themselves.
+/// Output for the bytes behind the parts, which adds the summary of the parts.
 struct Ending<'a> {
     to: &'a mut dyn Output,
     before: &'a Summary,
@@ -612,7 +615,7 @@ impl Output for Ending<'_> {
     }
 }
 
-/// Edits what holds no vertices.
+/// Edit of pieces that hold no vertices.
 struct Nothing {
     is_still: bool,
 }

@@ -19,13 +19,13 @@ pub const NEIGHBOURS: usize = 12;
 /// Half the opening of the cone with the solid angle 2π/3 that a neighbour discards: 2π(1 − cos θ) = 2π/3.
 const CONE: f32 = 0.841_068_7;
 
-/// How often the angle is halved before giving up.
+/// Number of halvings of the cone's angle before giving up.
 const ROUNDS: i32 = 4;
 
 /// Least doubled area of the projected triangle, over its longest edge squared (√3/2 if equilateral).
 const MIN_SHAPE: f32 = 0.25;
 
-/// Least barycentric coordinate: how far outside the triangle a vertex may lie.
+/// Least barycentric coordinate: the distance outside the triangle that a vertex may lie.
 const MIN_COORDINATE: f32 = -0.25;
 
 /// Carries a vertex over. Expansions stand in where no triangle of samples is fit to be used, as outside an

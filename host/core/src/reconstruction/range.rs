@@ -1,4 +1,4 @@
-//! The range of the samples around a vertex, and how a vertex that leaves it is drawn back: see
+//! Range of the samples around a vertex, and the way in which a vertex that leaves it is drawn back: see
 //! [`bound`](super::bound).
 
 use glam::{Mat3, Vec3};
@@ -13,16 +13,17 @@ use super::transport::Transport;
 /// their middle: across the little that separates two sheets nothing is explained.
 const RIDGE: f32 = 0.02;
 
-/// What the ridge may take of the map, to be made up for.
+/// Largest slope of the continuation, as a multiple of the norm of the linear map, of which the ridge takes a
+/// part.
 const FLATTENED: f32 = 1.5;
 
-/// As long as a linear map leaves no more over than this part, what explains the range continues it …
+/// Residual of a linear map, as a part of the displacements, up to which the map fully continues the range …
 const EXPLAINED: f32 = 0.4;
-/// … and less and less of it up to this part: a linear map leaves about half of a step.
+/// … and up to which it does less and less: a linear map leaves about half of a step.
 const UNEXPLAINED: f32 = 0.55;
 
 impl DeformationField<'_> {
-    /// Whether places are all so near to a home that it is surely among the nearest to each of them.
+    /// Whether places are all so near to a home that it is surely among the samples nearest to each of them.
     #[inline]
     pub(super) fn keep_home_nearest(&self, home: usize, places: impl Iterator<Item = Vec3>) -> bool {
         let center = self.around.samples.positions[home];
@@ -30,8 +31,8 @@ impl DeformationField<'_> {
         2.0 * farthest.sqrt() < self.around.supports.ranging[home]
     }
 
-    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that
-    /// reaches there.
+    /// Nearest place within the range, as [`drawn_back`](Self::drawn_back) gives it, for a vertex whose home
+    /// does not move, nor any support that reaches there.
     #[inline]
     pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
         // Then the home is among the nearest.
@@ -42,7 +43,7 @@ impl DeformationField<'_> {
     }
 
     /// Whether a displacement of a vertex of this home is within the range of those samples of the home's
-    /// sheet that are surely among the nearest ones: then it keeps to the range without a search.
+    /// sheet that are surely among the nearest ones: then the vertex keeps to the range without a search.
     pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let center = |j: usize| Vec3::from_array(self.expansions[j].center);
         let distance = p.distance(center(home));
@@ -54,7 +55,7 @@ impl DeformationField<'_> {
             (DisplacementBox::about(self.expansions[home].displacement()), self.bound.step(home));
         self.around.sheets.of_sample(home).chunks(EDGES).any(|ring| {
             for j in ring.iter().map(|j| *j as usize) {
-                // Without a branch: nobody foretells it.
+                // Neighbours are included without a branch, which could not be foretold.
                 let is_near = center(j).distance_squared(p) < reach * reach;
                 let with = extent.with(self.expansions[j].displacement());
                 extent = if is_near { with } else { extent };
@@ -69,7 +70,8 @@ impl DeformationField<'_> {
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
         let range = NearbyRange::around(self, p);
         let slack = BEYOND * range.edges.step + MARGIN;
-        // What continues it takes longer to find.
+        // The continuation of the range takes longer to find, so it is left out where the range itself
+        // suffices.
         if range.extent.widened(slack).holds(u) {
             return None;
         }
@@ -81,7 +83,7 @@ impl DeformationField<'_> {
         if held == u {
             return None;
         }
-        // Along the range's border nothing changes but what it is continued with.
+        // A move along the range's border changes only the continuation.
         let further = steepness * way.normalize_or_zero();
         let mut rows = gradient().transpose();
         for axis in (0..3).filter(|axis| held[*axis] != u[*axis]) {
@@ -94,7 +96,7 @@ impl DeformationField<'_> {
 /// The samples nearest to a vertex, and where they go.
 struct NearbyRange {
     count: usize,
-    /// From the vertex to each sample, the nearest first.
+    /// Ways from the vertex to each sample, the nearest first.
     from: [Vec3; AROUND],
     displacement: [Vec3; AROUND],
     extent: DisplacementBox,
@@ -123,7 +125,8 @@ impl NearbyRange {
         range
     }
 
-    /// How steep what continues the range may be: as the linear map that explains it, so far as one does.
+    /// Largest slope with which the range may be continued: that of the linear map that explains it, so far
+    /// as one does.
     fn steepness(&self) -> f32 {
         let count = self.count as f32;
         let (from, displacement) = (&self.from[..self.count], &self.displacement[..self.count]);

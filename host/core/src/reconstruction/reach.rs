@@ -1,5 +1,5 @@
-//! Whether the integers that a file stores positions as reach as far as a deformation goes, as far as the
-//! samples tell; and an offset with which they do.
+//! Reach of the integers that a file stores positions as: whether it suffices for a deformation, as far as
+//! the samples tell; and an offset with which it does.
 
 use glam::DVec3;
 use simod_model::bounds::Bounds;

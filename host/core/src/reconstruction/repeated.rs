@@ -1,9 +1,9 @@
 //! Vertices at the places of others: corners of a soup, as STL has them, are six times at each place in the
-//! mean. Where a vertex goes depends on its place alone, so it is found once.
+//! mean. The deformed position of a vertex depends on its place alone, so it is found once.
 
 use glam::DVec3;
 
-/// So many vertices are looked at to tell whether places are repeated.
+/// Number of vertices that are looked at to tell whether places are repeated.
 const LOOKED_AT: usize = 192;
 
 /// No place so far.
@@ -15,7 +15,7 @@ const NONE: u32 = u32::MAX;
 pub struct Repeated {
     /// The first vertex at each place.
     pub first: Vec<u32>,
-    /// How many there are.
+    /// Number of vertices at each place.
     pub count: Vec<u32>,
     /// The place of each vertex.
     place: Vec<u32>,
@@ -57,18 +57,18 @@ impl Repeated {
         Self { first, count, place }
     }
 
-    /// What the first vertex at each place has.
+    /// Values of the first vertex at each place, from those of all vertices.
     pub fn gather<T: Copy>(&self, of_vertices: &[T]) -> Vec<T> {
         self.first.iter().map(|vertex| of_vertices[*vertex as usize]).collect()
     }
 
-    /// Gives each vertex what its place has.
+    /// Gives each vertex the value of its place.
     pub fn scatter<T: Copy>(&self, of_places: &[T], to: &mut [T]) {
         to.iter_mut().zip(&self.place).for_each(|(to, place)| *to = of_places[*place as usize]);
     }
 }
 
-/// A number whose upper bits tell places apart.
+/// Hash of a place, whose upper bits differ from place to place.
 fn hash([x, y, z]: [u64; 3]) -> u64 {
     // Odd numbers without a pattern: digits of the golden ratio, and two others.
     const BY: [u64; 3] = [0x9e37_79b9_7f4a_7c15, 0xc2b2_ae3d_27d4_eb4f, 0x1656_67b1_9e37_79f9];

@@ -1,4 +1,4 @@
-//! The samples at rest: what is found of them once, for all deformations.
+//! Geometry of the samples at rest, which is found once for all deformations.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -11,12 +11,12 @@ use super::sheets::Sheets;
 use super::workspace::Workspaces;
 use crate::sampling::SampleSet;
 
-/// What there is to know of the samples at rest, for all deformations of them: the sheet of each sample, and
-/// its support, the ball in which its expansion has a weight. It is found once for a [`SampleSet`], which
-/// holds it for all who need it.
+/// Geometry of the samples at rest, for all deformations of them: the sheet of each sample, and its support,
+/// the ball in which its expansion has a weight. It is found once for a [`SampleSet`], which holds it for all
+/// who need it.
 ///
-/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`]
-/// finds.
+/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and that of
+/// [`SampleSet::prepare`].
 pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
     pub(super) sheets: Arc<Sheets>,
@@ -27,25 +27,26 @@ pub struct RestGeometry<'a> {
     vertices: Vec<AtomicU64>,
 }
 
-/// What was found of samples at rest so far, each once, and is held with them: some need the sheets alone.
+/// Geometry of samples at rest that was found so far, each part once, and is held with the samples: some need
+/// the sheets alone.
 #[derive(Default)]
 struct HeldGeometry {
     sheets: OnceLock<Arc<Sheets>>,
     all: OnceLock<Arc<FoundGeometry>>,
 }
 
-/// All that is found of samples at rest.
+/// Geometry of samples at rest: sheets, supports, and cells of homes.
 struct FoundGeometry {
     sheets: Arc<Sheets>,
     supports: Arc<Supports>,
-    /// What homes are found by: made when a place is first looked up, as fitting does not need it.
+    /// Cells by which homes are found: made when a place is first looked up, as fitting does not need them.
     cells: OnceLock<HomeOctree>,
-    /// Whether it is on the disk, beside the samples.
+    /// Whether the geometry is on the disk, beside the samples.
     is_kept: AtomicBool,
 }
 
 impl<'a> RestGeometry<'a> {
-    /// The sheets and supports of the samples at rest: as somebody found them before, or found now.
+    /// Sheets and supports of the samples at rest: as held from before, or found now.
     pub fn new(samples: &'a SampleSet) -> Self {
         Self::held(samples).unwrap_or_else(|| {
             let sheets = sheets(samples);
@@ -54,12 +55,12 @@ impl<'a> RestGeometry<'a> {
         })
     }
 
-    /// Finds now what is otherwise found when a place is first looked up.
+    /// Finds now the cells that are otherwise found when a place is first looked up.
     pub fn prepare(&self) {
         self.cells();
     }
 
-    /// What was found of the same samples, if it was.
+    /// Geometry that is held with the samples, if it was found before.
     pub(super) fn held(samples: &'a SampleSet) -> Option<Self> {
         samples.rest::<HeldGeometry>().all.get().map(|found| Self::of_found(samples, found.clone()))
     }
@@ -85,7 +86,7 @@ impl<'a> RestGeometry<'a> {
         self.supports.of_home(home).iter().map(|r| r.sample as usize)
     }
 
-    /// What was found out before.
+    /// Geometry from sheets and supports that were found before.
     pub(super) fn known(
         samples: &'a SampleSet,
         sheets: impl Into<Arc<Sheets>>,
@@ -107,12 +108,12 @@ impl<'a> RestGeometry<'a> {
         Self { samples, sheets, supports, found, workspaces: Workspaces::default(), vertices }
     }
 
-    /// Whether it is on the disk, beside the samples.
+    /// Whether the geometry is on the disk, beside the samples.
     pub(super) fn is_kept(&self) -> bool {
         self.found.is_kept.load(Ordering::Relaxed)
     }
 
-    /// Notes that it is on the disk.
+    /// Notes that the geometry is on the disk.
     pub(super) fn set_kept(&self) {
         self.found.is_kept.store(true, Ordering::Relaxed);
     }
@@ -128,7 +129,7 @@ impl<'a> RestGeometry<'a> {
         }
     }
 
-    /// Sets what homes are found by, which was found out before.
+    /// Sets the cells by which homes are found, from an earlier call.
     pub(super) fn set_cells(&self, cells: HomeOctree) {
         let _ = self.found.cells.set(cells);
     }
@@ -150,7 +151,7 @@ impl<'a> RestGeometry<'a> {
     }
 }
 
-/// The sheets of the samples at rest: as somebody found them before, or found now.
+/// Sheets of the samples at rest: as held from before, or found now.
 pub(super) fn sheets(samples: &SampleSet) -> Arc<Sheets> {
     let held = samples.rest::<HeldGeometry>();
     if let Some(sheets) = held.sheets.get() {

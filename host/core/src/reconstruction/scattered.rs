@@ -4,11 +4,11 @@
 
 use super::expansion::{Expansion, ReachingSupport};
 
-/// Supports that are looked at before what they say is added.
+/// Supports that are looked at before their displacements are added.
 const TOGETHER: usize = 32;
 
-/// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by
-/// which numbers turn. The last number of each four has no meaning.
+/// Results of the blend at a vertex: displacement, sum of weights, the gradient's columns, and those of the
+/// gradient by which numbers turn. The last number of each four has no meaning.
 pub struct ScatteredVertex {
     pub displacement: Four,
     pub sum: f32,
@@ -38,7 +38,7 @@ impl ScatteredVertex {
     }
 }
 
-/// Goes through the supports for the vertex at `p`: as `packet` does for many. `GRADIENT` says whether the
+/// Sums over the supports for the vertex at `p`, as `packet` does for many. `GRADIENT` says whether the
 /// gradient is asked for, `TURNING` whether that by which numbers turn is, of the expansions `told`.
 #[inline(always)]
 pub fn one<const GRADIENT: bool, const TURNING: bool>(
@@ -54,7 +54,8 @@ pub fn one<const GRADIENT: bool, const TURNING: bool>(
     let mut sum_slope = [0.0; 3];
     let furthest = length_squared(from(p, home.center)).sqrt();
     let reaching = &list[..list.iter().take_while(|support| support.from <= furthest).count()];
-    // First who reaches the vertex, without a branch: what is far off in memory is fetched side by side.
+    // Supports that reach the vertex are found first, without a branch: entries far off in memory are fetched
+    // side by side.
     let mut near = [(0, 0.0); TOGETHER];
     for supports in reaching.chunks(TOGETHER) {
         let mut count = 0;
@@ -105,7 +106,7 @@ fn add_turning(e: &Expansion, s: f32, p: [f32; 3], gradient: &mut [Four; 3]) {
     }
 }
 
-/// What is within Horner's brackets of an expansion at `d` from its sample.
+/// Factors of dx, dy and dz in the Horner form of an expansion, at `d` from its sample.
 #[inline(always)]
 fn inner(e: &Expansion, [dx, dy, dz]: [f32; 3]) -> [Four; 3] {
     let (xx, xy, xz) = (Four(e.four(4)), Four(e.four(5)), Four(e.four(6)));
@@ -125,7 +126,7 @@ fn slopes(e: &Expansion, [dx, dy, dz]: [f32; 3], [a, b, c]: [Four; 3]) -> [Four;
     [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
-/// Adds what an expansion says of the vertex at `p`, which is by `s` within its support.
+/// Adds the displacement of an expansion at the vertex at `p`, which is by `s` within the support.
 #[inline(always)]
 fn add<const GRADIENT: bool>(
     e: &Expansion,

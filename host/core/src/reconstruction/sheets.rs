@@ -1,14 +1,13 @@
-//! Which samples lie on the same sheet of the surface: a deformation must not bleed from a finger to the next
+//! Sheets of the surface, and the samples on each: a deformation must not bleed from a finger to the next
 //! one, or from one side of a thin wall to the other, however near they are in space.
 //!
 //! Two samples that see each other along the surface have normals that do not oppose, and lie near each
 //! other's tangent planes. For an arc the chord is perpendicular to the mean of both normals, whatever its
-//! curvature, so the chord's part along that mean tells how far one sample is *above* the other: it is
+//! curvature, so the chord's part along that mean tells the height of one sample *above* the other: it is
 //! counted [`STACKED`]-fold. Each sample is linked to the nearest few others in that measure, and its sheet
-//! is what these links reach among its neighbours in space.
+//! are the samples among its neighbours in space that these links reach.
 //!
-//! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what
-//! they say holds.
+//! The model's faces may have told the sheets ([`Contacts`](crate::touching::Contacts)): those hold instead.
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -32,10 +31,10 @@ const TOGETHER: usize = 256;
 /// Links of each sample: a ring.
 const LINKS: usize = 6;
 
-/// A sheet has at least so many samples besides the one that is looked at.
+/// Least number of samples of a sheet besides the one that is looked at.
 const LEAST: usize = 3;
 
-/// As long as so many are left, neighbours are left out on whose sheets a sample is not: two rings.
+/// Number of neighbours down to which those are left out on whose sheets a sample is not: two rings.
 const ENOUGH: usize = 16;
 
 /// A chord within this sine of the tangent planes is one along the surface.
@@ -47,7 +46,7 @@ const NOWHERE: u8 = u8::MAX;
 /// The list of a sample that has the graph's.
 const NONE: u32 = u32::MAX;
 
-/// A sample, and others that it has to do with.
+/// Sample, and others that belong to its list.
 pub type Listed = (u32, Vec<u32>);
 
 /// The neighbours of each sample on its own sheet.
@@ -60,10 +59,11 @@ pub struct Sheets {
     graph: NeighbourGraph,
     /// The list of each sample that has one of its own; [`NONE`] of all others.
     list: Vec<u32>,
-    /// Where the lists begin, and the last ends.
+    /// Start of each list in `neighbours`, and the end of the last.
     starts: Vec<u32>,
     neighbours: Vec<u32>,
-    /// Where the strangers of each sample begin; empty where there are none at all.
+    /// Start of each sample's entries in `strangers`, and the end of the last; empty where there are none at
+    /// all.
     stranger_starts: Vec<u32>,
     strangers: Vec<u32>,
 }
@@ -94,7 +94,7 @@ impl Sheets {
             {
                 return None;
             }
-            // As far as so many may be, on a surface.
+            // Distance within which so many neighbours may be, on a surface.
             let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
             let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
             let about = samples.unsorted_neighbours_about(i, reach, CROWDED_NEIGHBOURS);
@@ -130,7 +130,7 @@ impl Sheets {
         sheets
     }
 
-    /// What was found out before: the graph of so many samples, the samples that have lists of their own,
+    /// Sheets that were found before: the graph of `samples` samples, those that have lists of their own,
     /// and, where faces have told any, the strangers of those that have some; samples in ascending order.
     pub fn known(
         graph: NeighbourGraph,
@@ -153,7 +153,7 @@ impl Sheets {
         sheets
     }
 
-    /// Sets the strangers of some samples, in ascending order; all others of so many have none.
+    /// Sets the strangers of some samples, in ascending order; all others of the `samples` have none.
     fn set_strangers(&mut self, samples: usize, lists: &[Listed]) {
         let mut lists = lists.iter().peekable();
         self.stranger_starts.push(0);
@@ -165,7 +165,7 @@ impl Sheets {
         }
     }
 
-    /// Whether faces have told who is on another sheet.
+    /// Whether faces have told that samples are on another sheet.
     pub fn knows_strangers(&self) -> bool {
         !self.stranger_starts.is_empty()
     }
@@ -198,7 +198,7 @@ impl Sheets {
             return;
         }
         let lists = &*self;
-        // The list without those, if there are any, or if it is one of its own.
+        // List without those neighbours, if there are any, or if the list is one of its own.
         let left = |i: usize| -> Option<(u32, Vec<u32>)> {
             let list = lists.of_sample(i);
             if !lists.is_crowded(i) && !list.iter().any(|j| lists.is_crowded(*j as usize)) {
@@ -219,15 +219,15 @@ impl Sheets {
         }
     }
 
-    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
-    /// is nearer than others that are.
+    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own
+    /// sheet: `i` is nearer than samples that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
         let same = self.of_sample(j);
         let distance = |k: usize| positions[k].distance_squared(positions[j]);
         same.last().is_some_and(|last| distance(i) < distance(*last as usize)) && !same.contains(&(i as u32))
     }
 
-    /// Whether it is of so many samples: one that was read may be anything.
+    /// Whether all lists fit a set of `samples`: sheets that were read from a file may be damaged.
     pub fn is_valid(&self, samples: usize) -> bool {
         let lists = self.starts.len().saturating_sub(1);
         self.graph.is_valid(samples)
@@ -293,7 +293,8 @@ pub fn nearest_of<'a>(all: &'a [u32], positions: &[Vec3], i: usize, count: usize
     (near, radius)
 }
 
-/// Whether these are where `lists` lists begin, one after the other, and the last ends.
+/// Whether `starts` are the starts of `lists` lists, one after the other, and the end of the last, at
+/// `entries`.
 pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
     starts.len() == lists + 1
         && starts.first() == Some(&0)
@@ -301,7 +302,7 @@ pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
         && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
-/// What a sample is linked to.
+/// Links of a sample to others along the surface.
 #[derive(Debug, Clone, Copy, Default)]
 struct Links {
     /// The nearest samples along the surface; the sample itself in unused places.
@@ -335,7 +336,7 @@ impl WithSimd for Linking<'_> {
     }
 }
 
-/// The chords from a sample to its neighbours, the neighbours' normals, and how far these are along the
+/// Chords from a sample to its neighbours, the neighbours' normals, and the chords' lengths along the
 /// surface.
 #[derive(Default)]
 struct Chords {
@@ -356,8 +357,8 @@ impl Chords {
         }
     }
 
-    /// Measures the chords' lengths as [`chord_length`](crate::geometry::chord_length) does for one, and says
-    /// whether all chords are plainly along the surface. What lies behind the neighbours is of no meaning.
+    /// Measures the chords' lengths as [`chord_length`](crate::geometry::chord_length) does for one; returns
+    /// whether all chords are plainly along the surface. Entries behind the neighbours have no meaning.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, own: Vec3, count: usize) -> bool {
         let splat = |x| Lanes::splat(simd, x);
@@ -423,8 +424,8 @@ fn dot<S: Simd>(a: [Lanes<S>; 3], b: [Lanes<S>; 3]) -> Lanes<S> {
 fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> bool {
     places[i] = 0;
     let mut left = near.len();
-    // The second time for those that come before what they have a link to. Without a branch, as which one it
-    // is cannot be foretold: all bits of a place are set, or none.
+    // The second pass is for neighbours that come before the one that they have a link to. It is without a
+    // branch, as which one it is cannot be foretold: all bits of a place are set, or none.
     for _ in 0..2 {
         for j in near.iter().map(|j| *j as usize) {
             let linked = links[j].to.iter().fold(NOWHERE, |all, to| all & places[*to as usize]);
@@ -439,7 +440,7 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     left == 0
 }
 
-/// Which samples of `near` (fewer than 127) links within them reach from sample `i`: a bit for each. `places`
+/// Samples of `near` (fewer than 127) that links within them reach from sample `i`: a bit for each. `places`
 /// has one for each sample, all [`NOWHERE`], before and after.
 fn reached(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> u128 {
     // The sample itself has the last place.

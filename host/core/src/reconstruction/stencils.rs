@@ -1,12 +1,12 @@
-//! The samples that the fits at a sample are of: those of its own sheet, and where parts of the model touch,
-//! those of other parts that go one way with it.
+//! Stencils: the samples that the fits at a sample are of. These are of its own sheet, and where parts of the
+//! model touch, of other parts that go one way with it.
 //!
 //! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small
 //! part has few samples of its own, and beside a contact they lie on one side. So samples of other sheets are
 //! borrowed where the deformation is smooth across: on a smooth map the displacements at both ends of d
-//! differ by ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and what the gradients leave
-//! open is of the size of the strain and of how far they differ from each other. Where parts move apart,
-//! whatever little way, as rigid bodies, both are nothing, and nobody is borrowed.
+//! differ by ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and the difference that the
+//! gradients leave open is of the size of the strain and of the gradients' difference from each other. Where
+//! parts move apart, whatever little way, as rigid bodies, both are zero, and no sample is borrowed.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -15,12 +15,12 @@ use super::expansion::ROUNDING;
 use super::sheets::{SHEET_NEIGHBOURS, Sheets, nearest_of};
 use crate::sampling::SampleSet;
 
-/// How far a displacement may be off what the gradients at both ends foretell: so much of the distance, times
-/// the strain, or how far the gradients differ.
+/// Largest deviation of a displacement from the one that the gradients at both ends foretell, as a part of
+/// the distance times the strain, or times the difference of the gradients.
 const OFF: f32 = 0.2;
 
-/// Where no more than one of so many strangers goes one way with a sample, some do so by chance, as beside a
-/// hinge, and none is borrowed.
+/// Number of strangers of which more than one has to go one way with a sample, or none is borrowed: some go
+/// one way by chance, as beside a hinge.
 const ONE_OF: usize = 2;
 
 /// Neighbours of a sample that its word is compared with: its ring.
@@ -32,7 +32,7 @@ pub struct Stencils<'a> {
     /// The samples that borrow, ascending, each with its neighbours, nearest first: at most
     /// [`SHEET_NEIGHBOURS`].
     mixed: Vec<(u32, Vec<u32>)>,
-    /// Whether each sample does; empty where none does.
+    /// Whether each sample borrows; empty where none does.
     borrows: Vec<bool>,
 }
 
@@ -42,7 +42,8 @@ impl<'a> Stencils<'a> {
         Self { sheets, mixed: Vec::new(), borrows: Vec::new() }
     }
 
-    /// With what goes one way with each sample, by the `gradients` that their own sheets tell.
+    /// Stencils with the strangers that go one way with each sample, by the `gradients` that the samples' own
+    /// sheets tell.
     ///
     /// Memory: at most 170 bytes for each sample near which parts touch, and one for each sample if any do.
     pub fn borrowing(
@@ -93,13 +94,13 @@ impl<'a> Stencils<'a> {
         &self.mixed[at].1
     }
 
-    /// The nearest of them: its ring.
+    /// Nearest samples of a stencil: the sample's ring.
     pub fn ring(&self, i: usize) -> &[u32] {
         let near = self.of_sample(i);
         &near[..near.len().min(RING)]
     }
 
-    /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].
+    /// At most `count` samples of a stencil, and the radius of a kernel over these: see [`Sheets::around`].
     pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
         nearest_of(self.of_sample(i), positions, i, count)
     }

@@ -28,15 +28,14 @@ use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
-/// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
-/// with then.
+/// Revision, counted up whenever the same inputs give other bytes: an earlier program's unfinished output is
+/// not gone on with then.
 const REVISION: u32 = 15;
 
-/// What is lost at most, in bytes of the model, when the program is killed: see
-/// [`Reconstruction::part_bytes`].
+/// Most bytes of the model whose work is lost when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
 
-/// Most parts that an output is recorded in: those of a very large model are larger.
+/// Largest number of parts that an output is recorded in: those of a very large model are larger.
 const MAX_PARTS: u64 = 1024;
 
 /// A deformation of the samples, and where the model that is deformed likewise goes.
@@ -47,7 +46,7 @@ pub struct Version<'a> {
     /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as
     /// many.
     pub output: &'a Path,
-    /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
+    /// Path of a file with diagnostics of the surface at each vertex, likewise: a binary PLY file of the
     /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
     /// rest), `folded` (0 or 1), `expected_error` (how far the vertex is probably off, in the model's unit),
     /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest); of splats `anisotropy`
@@ -56,26 +55,26 @@ pub struct Version<'a> {
     pub diagnostics: Option<&'a Path>,
 }
 
-/// How a deformation is transferred.
+/// Options of a reconstruction.
 #[derive(Debug, Clone, Copy)]
 pub struct Reconstruction<'a> {
-    /// How a vertex is carried over.
+    /// Method by which a vertex is carried over.
     pub method: Method,
-    /// What becomes of the model's normals.
+    /// Treatment of the model's normals.
     pub normals: Normals,
-    /// Goes on with what an earlier call left that was killed, or stopped with `resume`, as far as it is
-    /// good. Without it, what was left is replaced.
+    /// Whether to go on with the files of an earlier call that was killed, or stopped with `resume`, as far
+    /// as they are good. Without it, these files are replaced.
     pub resume: bool,
-    /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of
-    /// the model are done; more where that would be over 1024 parts.
+    /// Bytes of the model after which a part of an output is on the disk, and can be relied on by a later
+    /// call; more where that would be over 1024 parts.
     pub part_bytes: u64,
-    /// Outputs are removed soon: nobody waits until all of them is on the disk.
+    /// Whether outputs are removed soon, so that nobody waits until all of them is on the disk.
     pub is_scratch: bool,
-    /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
-    /// fits.
+    /// File in which [`bind`](super::bind) may have kept what does not depend on the deformation. It is used
+    /// if it fits.
     pub binding: Option<&'a Path>,
-    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by
-    /// it turns what [follows](Model::following).
+    /// [Gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
+    /// turn the attributes that [follow](Model::following).
     pub gradients: Option<&'a [Mat3]>,
 }
 
@@ -93,20 +92,20 @@ impl Default for Reconstruction<'_> {
     }
 }
 
-/// Where a deformation folds the surface: parts of it are mirrored and most of the model is not, or the other
-/// way round, and between them it doubles back. A mirror of the whole model folds nothing; and where the
-/// surface is flat, nothing tells, and nothing is counted.
+/// Count of folded samples and vertices: at these the surface is mirrored and most of the model is not, or
+/// the other way round, and between them the surface doubles back. A mirror of the whole model folds nothing;
+/// and where the surface is flat, nothing tells, and nothing is counted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Folding {
     /// Number of folded samples.
     pub samples: u64,
-    /// The first of them, in the model's coordinates at rest.
+    /// Position of the first folded sample, in the model's coordinates at rest.
     pub first: Option<DVec3>,
     /// Number of folded vertices, if diagnostics were asked for.
     pub vertices: Option<u64>,
 }
 
-/// What was done.
+/// Figures of a reconstruction that was done.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reconstructed {
     /// Vertices of the model.
@@ -115,11 +114,10 @@ pub struct Reconstructed {
     pub non_finite: u64,
     /// Bytes of the outputs that an earlier call wrote.
     pub taken_over: u64,
-    /// Where each version folds the surface; nothing is known of those that an earlier call had finished.
+    /// Folds of the surface in each version; `None` for those that an earlier call had finished.
     pub folding: Vec<Option<Folding>>,
-    /// How far each version is expected to be off; nothing is known of those that an earlier call had
-    /// finished, nor of another method than blended jets without diagnostics. What an earlier call wrote of a
-    /// version is not counted.
+    /// Expected error of each version; `None` for those that an earlier call had finished, and for another
+    /// method than blended jets without diagnostics. Vertices that an earlier call wrote are not counted.
     pub expected: Vec<Option<ExpectedError>>,
     /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written
     /// as one [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
@@ -189,8 +187,8 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
 }
 
-/// What is written, by the one name that all paths to it share, with the bytes that it needs; or an error
-/// where it is the model or two are the same.
+/// Outputs that are written, by the one name that all paths to each share, with the bytes that it needs; or
+/// an error where one is the model or two are the same.
 pub(super) fn checked_targets<'a>(
     model: &dyn Model,
     versions: &[Version<'a>],
@@ -267,7 +265,7 @@ struct ReconstructionCall<'a> {
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
     pass: Vec<Begun<'a>>,
-    /// The outputs that are in their places. Their journals tell a later call so, should this one be killed.
+    /// Outputs that are in their places. Their journals tell a later call so, should this one be killed.
     finished: Vec<FinishedOutput>,
     taken_over: u64,
     /// The folding of each version, as far as it is known.
@@ -384,7 +382,7 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// Finishes the files of the pass, whose vertices are written, with what their samples expect.
+    /// Finishes the files of the pass, whose vertices are written, with the expected errors of their samples.
     fn commit_pass(&mut self, of_samples: Vec<Option<ExpectedError>>) -> Result<()> {
         for (Begun { number, file, diagnostics, .. }, of_samples) in self.pass.iter_mut().zip(of_samples) {
             let of_vertices = diagnostics.as_ref().map(|file| file.expected.sum(true));
@@ -438,7 +436,7 @@ impl<'a> ReconstructionCall<'a> {
     /// Ends a call that failed.
     fn stop(self, error: Error, versions: &[Version<'_>]) -> Error {
         use simod_model::ErrorKind::{Cancelled, Degenerate, Format, Io, Mismatch};
-        // What is wrong with the content is so the next time, too.
+        // A fault of the content would be there the next time, too, so there is nothing to resume.
         if !self.how.resume || matches!(error.kind(), Format | Degenerate | Mismatch) {
             return error;
         }
@@ -527,7 +525,7 @@ pub(super) fn field<'a>(
 }
 
 impl Folding {
-    /// What the samples tell.
+    /// Folds as far as the samples tell.
     pub(super) fn of_samples(field: &DeformationField<'_>, sampled: &SampledModel) -> Self {
         let folds = field.folds();
         let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));

@@ -28,12 +28,12 @@ fn inner(p: &Vec3) -> bool {
     p.x.min(p.z) > 0.05 && p.x.max(p.z) < 0.95
 }
 
-/// Where the field takes points.
+/// Deformed positions of points.
 pub(super) fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
     carried_with_normals(field, points, &[]).0
 }
 
-/// Likewise, and what becomes of their normals.
+/// Deformed positions of points, and their normals.
 fn carried_with_normals(
     field: &DeformationField,
     points: &[Vec3],
@@ -284,7 +284,7 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     }
 }
 
-/// What a call gives for each vertex: the bits of its position and of its normal, and its figures.
+/// Results of a call for each vertex: the bits of its position and of its normal, and its figures.
 type Bits = ([u64; 3], [u32; 3], [u32; 3]);
 
 fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
@@ -373,7 +373,7 @@ proptest::proptest! {
             .map(|(p, n)| ((p.with_x(0.0), *n), (p.with_x(-0.0), *n)))
             .unzip();
         let zeros = bits(&field, &zero).into_iter().zip(bits(&field, &other));
-        // The sign of zero may be left of a vertex that stays where it is.
+        // A vertex that stays may keep the sign of a zero.
         let value = |b: &Bits| b.0.map(|x| f64::from_bits(x) + 0.0);
         assert!(zeros.into_iter().all(|(a, b)| value(&a) == value(&b) && a.1 == b.1));
     }
@@ -511,7 +511,7 @@ fn a_map_that_bends_across_gentle_relief_is_not_taken_for_shear() {
     assert!(rms < 7e-5, "{rms}");
 }
 
-/// Corners of a soup are found once for each place: where they go, and how many there are, is what it was one
+/// Corners of a soup are found once for each place: their positions and their number are those of corners one
 /// by one.
 #[test]
 fn corners_at_one_place_go_where_one_goes() {

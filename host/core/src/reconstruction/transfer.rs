@@ -1,4 +1,4 @@
-//! What becomes of a model's chunks while it is streamed (paper §5, "Streaming Deformation Reconstruction"):
+//! Deformation of a model's chunks while it is streamed (paper §5, "Streaming Deformation Reconstruction"):
 //! several of them at a time, on as many threads.
 
 use std::collections::BTreeMap;
@@ -22,8 +22,8 @@ const SCATTERED_AT_ONCE: u64 = 3;
 /// … and all threads and versions together, unless each has one: about 8 MB each.
 const SCATTERED_PIECES: u64 = 16;
 
-/// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space,
-/// so many that several are near to each other among them.
+/// Number of pieces of the model that a thread takes at a time: one, or, where vertices come in no order in
+/// space, so many that several are near to each other among them.
 pub(super) fn pieces_at_once(sampled: &SampledModel, versions: usize) -> u64 {
     if !sampled.source.comes_in_no_order() {
         return 1;
@@ -38,7 +38,7 @@ pub(super) struct Transfer<'a> {
     pub(super) frame: &'a Frame,
     /// The hash of the bytes of all vertices, or of a part.
     pub(super) hash: Mutex<HashedModel>,
-    /// What homes are read from, if they were kept, and its file.
+    /// Binding from which homes are read, if they were kept, and its file.
     pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
     /// The homes that were read of chunks in flight, by their first vertices: 4 bytes for each vertex.
     pub(super) homes: Mutex<BTreeMap<u64, Vec<u32>>>,
@@ -46,7 +46,7 @@ pub(super) struct Transfer<'a> {
     pub(super) progress: &'a dyn Progress,
 }
 
-/// What is hashed of the model that is read.
+/// Hash of the vertices of the model that are read.
 pub(super) enum HashedModel {
     All(VertexHash),
     Part(HashedPart),
@@ -68,7 +68,7 @@ impl Edit for Transfer<'_> {
             Ok(homes) if chunk.is_edited => drop(locked(&self.homes).insert(chunk.first, homes)),
             Ok(_) => {}
             Err(why) => {
-                // What was found by it so far is what would have been found without.
+                // Homes that the binding gave so far are those that would have been found without it.
                 self.progress.note(&format!("{} is not used from here on: {why}", path.display()));
                 *binding = None;
             }
@@ -126,8 +126,8 @@ impl Transfer<'_> {
 /// Memory: 48 bytes for each vertex of the chunks in flight and each version with diagnostics.
 pub(super) struct Surveys<'a> {
     files: Vec<Option<Mutex<&'a mut DiagnosticsFile>>>,
-    /// The deformed positions of chunks that are not written yet, by their first vertices, and what becomes
-    /// of the surface there.
+    /// Deformed positions of chunks that are not written yet, by their first vertices, and the diagnostics of
+    /// the surface there.
     waiting: Mutex<BTreeMap<u64, Vec<Surveyed>>>,
 }
 
@@ -140,13 +140,14 @@ impl<'a> Surveys<'a> {
         Self { files, waiting: Mutex::default() }
     }
 
-    /// For each version, what is to be filled in for so many vertices.
+    /// Lists for the diagnostics of `vertices` vertices, to be filled in, one for each version; empty for
+    /// versions whose diagnostics are not written.
     pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
         let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
         self.files.iter().map(|file| vec![VertexDiagnostics::UNKNOWN; count(file)]).collect()
     }
 
-    /// Takes what was found out of a chunk.
+    /// Keeps the findings in a chunk.
     pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
         if self.files.iter().all(Option::is_none) {
             return;
@@ -169,7 +170,7 @@ impl<'a> Surveys<'a> {
     }
 }
 
-/// What a mutex holds, whatever became of the thread that held it last.
+/// Content of a mutex, whatever became of the thread that held it last.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! How far a reconstruction is from the exact deformation of every vertex.
+//! Transfer error: the distance of a reconstruction from the exact deformation, over all vertices.
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -106,7 +106,7 @@ fn compare_some(
     let info = models[0].info();
     let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
     progress.begin("measuring some vertices", bytes);
-    // So many blocks are mapped together that all threads have work.
+    // Blocks are mapped together in numbers that give all threads work.
     for some in chosen.chunks(1 << 6) {
         let (mut rest, mut found) = (Vec::new(), Vec::new());
         for block in some {
@@ -134,7 +134,7 @@ fn same_count(model: &dyn Model, deformed: &dyn Model) -> Result<()> {
     Err(Error::mismatch(what, "compare versions of the same model"))
 }
 
-/// What is known of the deviation so far.
+/// Sums of the deviation over the vertices so far.
 struct Compared {
     errors: Histogram,
     jumps: Histogram,
@@ -142,7 +142,7 @@ struct Compared {
     sum: f64,
     max: f64,
     scale: f64,
-    /// The vertex before, and how far it is off.
+    /// The vertex before, and its error.
     last: Option<(DVec3, DVec3)>,
 }
 
@@ -153,7 +153,7 @@ impl Compared {
         Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
     }
 
-    /// Vertices in the file's order, so many in a row that follow each other there.
+    /// Adds vertices in the file's order, of which `row` at a time follow each other there.
     fn add(
         &mut self,
         rest: &[DVec3],
@@ -196,16 +196,15 @@ impl Compared {
     }
 }
 
-/// Vertices that are further off than allowed: their places (local coordinates) and by how much (local
-/// units).
+/// Vertices whose error is more than is allowed: their places (local coordinates) and errors (local units).
 pub type Excesses = Vec<(Vec3, f32)>;
 
-/// Most vertices of which [`measure_some`] tells.
+/// Largest number of vertices that [`measure_some`] returns.
 pub const MOST_TOLD: usize = 1 << 16;
 
-/// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact
-/// images; nothing is written, but their positions are rounded as the file does it. The same vertices each
-/// time; [`jump`](TransferError::jump) is 0.
+/// Compares the deformed positions of some vertices by `field`, no more than `most` and chosen at random,
+/// with their exact images; nothing is written, but the positions are rounded as the file does it. The same
+/// vertices each time; [`jump`](TransferError::jump) is 0.
 ///
 /// Vertices that are off by more than `beyond`, a fraction of the diagonal, are told, up to [`MOST_TOLD`].
 ///
@@ -240,7 +239,7 @@ pub fn measure_some(
         carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
         exact(&mut truth)?;
         for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {
-            // What does not move is not rounded again.
+            // A vertex that does not move is not rounded again.
             let written = if found == rest { *found } else { info.rounded(*found) };
             let off = written.distance(*truth);
             errors.add(off * scale, 1);

@@ -1,19 +1,19 @@
-//! The way of one vertex: its displacement, the gradient there, and the method by which both are found.
+//! Transport of one vertex: its displacement, the gradient there, and the method by which both are found.
 
 use glam::{Mat3, Vec3};
 use simod_model::follow;
 
-/// What happens to one vertex.
+/// Displacement of one vertex, and the gradient of the deformation there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transport {
-    /// From its old position to its new one, in local coordinates.
+    /// Way from the vertex's old position to its new one, in local coordinates.
     pub displacement: Vec3,
     /// The gradient of the deformation there; normals go with its inverse transpose.
     pub gradient: Mat3,
 }
 
 impl Transport {
-    /// Nothing happens.
+    /// Transport of a vertex that stays.
     pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
 
     /// The [normal](follow::normal) after the deformation.
@@ -22,7 +22,7 @@ impl Transport {
     }
 }
 
-/// How a vertex is carried over.
+/// Method by which a vertex is carried over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
     /// The paper's (§5), guarded: an offset along the normal of an average plane, over a projected triangle.

@@ -1,20 +1,21 @@
-//! How far expansions are off where their neighbours tell little of the gradient across the surface, or
-//! nothing: all samples guess it alike there, and so do not disagree.
+//! Error of expansions where their neighbours tell little of the gradient across the surface, or nothing: all
+//! samples guess it alike there, and so do not disagree.
 //!
-//! With x = (A + λ W)⁻¹ e, e across and A of the fit's squares, an expansion whose gradient across is off by
-//! δ is off by δ x·t(d) / x·e at d from the sample, t(d) the terms of the fit; nothing at the neighbours
-//! themselves. δ has two parts. What the fit leaves to the prior, λ W x·e of it, is off by as much as the map
-//! strains and bends. And what the fit leaves out is taken for a gradient as far as little relief makes them
-//! look alike (the alias of G. E. P. Box, K. B. Wilson, *On the Experimental Attainment of Optimum
-//! Conditions*, 1951). Of the third order that is Σ w x·t(d) c(d), where how much the second order differs at
-//! a neighbour tells the cubic terms, c(d) = (Qₖ − Q)(d, d) / 3. All orders, and chance, a fit to fewer
-//! neighbours tells, as it takes less of them for a gradient: two orders of one method tell its error, as in
-//! an embedded pair of Runge and Kutta. Either is more than there is where the other fit hardly tells a
-//! gradient, or second orders are off; then samples agree better on the gradient than they say. Where
-//! neighbours have it wrong together, that is too little.
+//! With x = (A + λ W)⁻¹ e, where e is the slope across and A the matrix of the fit's squares, an expansion
+//! whose gradient across has the error δ has the error δ x·t(d) / x·e at d from the sample, t(d) being the
+//! terms of the fit; at the neighbours themselves it has none. δ has two parts. The part of the gradient that
+//! the fit leaves to the prior, λ W x·e, has an error as large as the map's strain and bending. And terms
+//! that the fit leaves out are taken for a gradient as far as little relief makes the two look alike (the
+//! alias of G. E. P. Box, K. B. Wilson, *On the Experimental Attainment of Optimum Conditions*, 1951). For
+//! the third order that is Σ w x·t(d) c(d), where the difference of the second order at a neighbour tells the
+//! cubic terms, c(d) = (Qₖ − Q)(d, d) / 3. For all orders, and chance, a fit to fewer neighbours tells it, as
+//! that takes less of these terms for a gradient: two orders of one method tell its error, as in an embedded
+//! pair of Runge and Kutta. Either estimate is too large where the other fit hardly tells a gradient, or
+//! second orders are wrong; then samples agree better on the gradient than the estimates say. Where
+//! neighbours are wrong together, the disagreement is too little.
 //!
-//! Over a dozen spacings it shows: expansions of fourth order there tell δ itself, as far as they can be
-//! fitted and agree with each other ([`told_across`]). The rest is as above.
+//! Over a dozen spacings the error shows: expansions of fourth order there tell δ itself, as far as they can
+//! be fitted and agree with each other ([`told_across`]). The rest is as above.
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -32,28 +33,29 @@ use crate::geometry::hermite;
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.4;
 
-/// So much of what the third order makes of the gradient counts.
+/// Part of the gradient's error due to the third order that counts.
 const OF_THIRD: f32 = 0.8;
 
-/// Where the third order makes little of a sample's gradient by chance, its ring tells: no less than the
-/// sample's own counts, and no more than so many times that.
+/// Bound of the third order's part, as a multiple of the sample's own. Where the third order makes little of
+/// a sample's gradient by chance, its ring tells: no less than the sample's own counts.
 const OF_OWN: f32 = 2.0;
 
-/// The error of a gradient goes with the square of the radius, as the number of neighbours does: a fit to so
-/// many has two thirds of it. So many times how far this one is from the whole one counts ...
+/// Number of neighbours of the smaller fit, and the factor of its gradient's distance from that of the whole
+/// fit. The error of a gradient goes with the square of the radius, as the number of neighbours does: a fit
+/// to so many has two thirds of it ...
 const FEWER_NEIGHBOURS: usize = 18;
 const OF_FEWER: f32 = 1.5;
 
-/// ... together with the third order no more than so many times what the sample and its ring disagree by on
-/// the gradient across.
+/// ... and the most that both count together with the third order, as a multiple of the disagreement of the
+/// sample and its ring on the gradient across.
 const OF_DISAGREED: f32 = 2.5;
 
-/// How far an expansion is off around its sample, by its terms along each of a fit's: local units.
+/// Error of an expansion around its sample, as the coefficients of a fit's terms: local units.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unresolved([f32; TERMS]);
 
 impl Unresolved {
-    /// The length of what is left at `d` from the sample.
+    /// Length of the error at `d` from the sample.
     pub fn length(&self, d: Vec3) -> f32 {
         self.at(d).abs()
     }
@@ -65,7 +67,7 @@ impl Unresolved {
     }
 }
 
-/// What is unresolved at each sample, of which these are the expansions.
+/// Error at each sample that the neighbours leave unresolved, of which these are the expansions.
 ///
 /// Memory: 36 bytes per sample, and some 100 more meanwhile, with 4 for each thread.
 pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
@@ -89,8 +91,8 @@ pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
     across.par_iter().enumerate().map(unresolved).collect()
 }
 
-/// How far sample `i` and its ring disagree on the gradient across, by the root of the mean square: what the
-/// second order halfway between two of them does not explain.
+/// Disagreement of sample `i` and its ring on the gradient across, as the root of the mean square: the
+/// difference that the second order halfway between two of them does not explain.
 fn disagreement(fitted: FitInput<'_>, expansions: &[Expansion], i: usize) -> f32 {
     let (own, across) = (&expansions[i], fitted.samples.normals()[i]);
     let ring = fitted.stencils.ring(i);
@@ -103,24 +105,23 @@ fn disagreement(fitted: FitInput<'_>, expansions: &[Expansion], i: usize) -> f32
     (ring.iter().map(square).sum::<f32>() / ring.len().max(1) as f32).sqrt()
 }
 
-/// How the fit at a sample hears of the gradient across the surface.
+/// Response of the fit at a sample to the gradient across the surface, and the errors of this gradient.
 #[derive(Debug, Clone, Copy, Default)]
 struct Across {
     /// x·t(d) / x·e, for each unit by which the gradient is off.
     response: Unresolved,
     /// x·e, over the square of the radius.
     weight: f32,
-    /// How far the gradient is off by the prior.
+    /// Error of the gradient due to the prior.
     prior: f32,
-    /// How far a fit to fewer neighbours has it from where the whole fit has it.
+    /// Difference of the gradient of a fit to fewer neighbours from that of the whole fit.
     by_fewer: f32,
-    /// The most by which the third order makes it off: by how much the map strains, and by what there is to
-    /// explain.
+    /// Most of the error due to the third order: by the map's strain, and by the data to be explained.
     most: f32,
 }
 
 impl Across {
-    /// How far the gradient is off by the third order, at sample `i`.
+    /// Error of the gradient due to the third order, at sample `i`.
     fn of_third_order(&self, fitted: FitInput<'_>, expansions: &[Expansion], i: usize) -> f32 {
         let positions = &fitted.samples.positions;
         let (near, radius) = fitted.stencils.around(positions, i, FIT_NEIGHBOURS);
@@ -141,7 +142,7 @@ fn product([xx, xy, xz, yy, yz, zz]: [Vec3; 6], a: Vec3, b: Vec3) -> Vec3 {
     xx * (a.x * b.x) + yy * (a.y * b.y) + zz * (a.z * b.z) + 0.5 * mixed
 }
 
-/// Finds that of samples that follow each other from the first; nothing where nothing is fitted.
+/// Finds the responses of samples that follow each other from the first; zero where nothing is fitted.
 struct AcrossFits<'a> {
     fitted: FitInput<'a>,
     first: usize,
@@ -189,7 +190,7 @@ fn fit<S: Simd>(
     let (terms, _, ridge, is_solved) = squares.solve(strain);
     let normal = triple(simd, normal);
     let (response, along, is_found) = squares.response(normal, ridge);
-    // How much the gradient differs at the radius: of a square it is twice the term, of a product each of two
+    // Change of the gradient at the radius: of a square it is twice the term, of a product each of two
     // coordinates has it.
     let mut bent = splat(0.0);
     for (term, times) in terms[3..].iter().zip([4.0, 2.0, 2.0, 4.0, 2.0, 4.0]) {

@@ -99,7 +99,7 @@ fn packet<S: Simd>(
         }
         let holds = range.holds(u);
         is_within = is_possible.and(holds).select(one, zero);
-        // More samples only make it wider.
+        // Further samples only make the range wider.
         let is_left = holds.select(zero, is_possible.select(one, zero));
         if !zero.less(is_left).any() {
             break;
@@ -133,7 +133,8 @@ impl<S: Simd> PacketBox<S> {
         self.step = whether.select(self.step.max(other.step), self.step);
     }
 
-    /// Where it holds a displacement, widened by what may be off by rounding, and by a part of the step.
+    /// Mask of the lanes in which the range holds a displacement, widened by the rounding error, and by a
+    /// part of the step.
     #[inline(always)]
     fn holds(&self, u: [Lanes<S>; 3]) -> Mask<S> {
         let margin = Lanes::splat(self.step.0, MARGIN);

@@ -15,7 +15,7 @@ pub struct Workspace {
     pub block_order: Vec<u32>,
     /// The vertices of the part that is gone through now, in that order.
     pub order: Vec<u32>,
-    /// Whether all of them have finite positions.
+    /// Whether all vertices of the part have finite positions.
     pub is_finite: bool,
     /// Local coordinates, in this order, with room behind them …
     pub local: [Vec<f32>; 3],
@@ -25,7 +25,7 @@ pub struct Workspace {
     pub runs: Vec<HomeRun>,
     /// For each sample, the group of which it is the home, if that group is of this part.
     pub group_of: Vec<u32>,
-    /// How far each group is filled.
+    /// Fill level of each group.
     pub filled: Vec<GroupFill>,
     pub grouped: Grouped,
 }
@@ -37,7 +37,8 @@ pub struct HomeRun {
     /// The run's first place in the order, and the number of its vertices.
     pub first: u32,
     pub count: u32,
-    /// Where they are among the grouped ones, side by side; [`NOWHERE`] if their home does not move.
+    /// First of the run's vertices among the grouped ones, where they stand side by side; [`NOWHERE`] if
+    /// their home does not move.
     pub place: u32,
 }
 
@@ -50,7 +51,7 @@ impl HomeRun {
         self.first as usize..(self.first + self.count) as usize
     }
 
-    /// The places of the run's vertices among the grouped ones, where they are.
+    /// Places of the run's vertices among the grouped ones, if they are grouped.
     pub fn places(&self) -> Range<usize> {
         self.place as usize..(self.place + self.count) as usize
     }
@@ -76,10 +77,10 @@ impl Workspaces {
     }
 }
 
-/// How far a group is filled: where its next vertex goes, and where the next one of those that are scattered.
+/// Fill level of a group: the place of its next vertex, and that of the next one of those that are scattered.
 #[derive(Debug, Clone, Copy)]
 pub struct GroupFill {
-    /// At first, the number of its vertices.
+    /// Place of the group's next vertex; at first, the number of its vertices.
     pub next: usize,
     pub scattered: usize,
 }

@@ -4,8 +4,8 @@
 //! being represented by the sample itself: another one beside it would say the same twice.
 //!
 //! Where sheets of the model touch, a cluster holds vertices of several of them, and has a sample for each.
-//! So has each of the clusters that it is split into: what is on a sheet there goes on from the sample that
-//! stood for that sheet.
+//! So has each of the clusters that it is split into: the vertices of a sheet there go on from the sample
+//! that stood for that sheet.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -16,48 +16,51 @@ use super::regrowing::{Grown, Regrown, Sheet};
 use crate::sampling::kept_cells::{CutTree, KeptCells};
 use crate::touching::Guides;
 
-/// What a refinement comes to.
+/// New samples of a refinement, and the trees and sheets that change with them.
 #[derive(Default)]
 pub(super) struct Appended {
     /// Positions and normals of the new samples; a normal is zero where unknown.
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
-    /// The sample whose cluster each was part of, or on whose sheet it is where several meet in a cluster.
+    /// Sample from which each new one comes: the one whose cluster was split, or where several sheets meet in
+    /// the cluster, the one on the new sample's sheet.
     pub origins: Vec<u32>,
     /// Samples that no tree has, as their cluster holds several sheets, and one that a tree has for it.
     pub parted: Vec<[u32; 2]>,
     /// The new tree of each cell that was looked at.
     pub trees: Vec<(u32, CutTree)>,
-    /// Ascending: from this built leaf on, up to that of the next entry, leaves belong to this sample.
+    /// Pairs of a built leaf and a sample, ascending: from this leaf on, up to that of the next entry, leaves
+    /// belong to this sample.
     pub starts: Vec<(u32, u32)>,
-    /// Whether the cluster of each sample that was there is split.
+    /// Whether the cluster of each sample is split, for the samples before the refinement.
     pub split: Vec<bool>,
 }
 
-/// A leaf below a split sample, or what is on one of several sheets there.
+/// Leaf below a split sample, or the part of one that is on one of several sheets there.
 struct NewLeaf {
     position: Vec3,
     normal: Vec3,
     reach: f32,
-    /// The sample that was there for it, and how far that is.
+    /// Sample from before the refinement that stood for the leaf, and the distance to it.
     origin: u32,
     distance: f32,
     /// The tree, and the place among its samples.
     tree: usize,
     place: usize,
-    /// Whether it has this place: of several sheets, the one with most vertices.
+    /// Whether this leaf's sample takes `place` in the tree: of several sheets, the one with most vertices
+    /// does.
     is_first: bool,
     /// First of the built leaves.
     first: u32,
 }
 
-/// The samples that are split, and what becomes of each.
+/// Samples that are split, and the new leaves of each.
 #[derive(Default)]
 struct SplitSamples {
     parts: Vec<NewLeaf>,
     /// The parts of each split sample, cell by cell.
     split: BTreeMap<u32, Vec<Range<usize>>>,
-    /// As [`Appended::starts`], of the samples that are not split.
+    /// Pairs as in [`Appended::starts`], of the samples that are not split.
     starts: Vec<(u32, u32)>,
 }
 
@@ -79,8 +82,7 @@ pub(super) fn append(
     out.starts.extend(pieces.starts);
     out.starts.sort_unstable();
     if let Some(guides) = guides {
-        // Where nothing is left of what a sample stood for, it is beside the first that has come of its
-        // cluster.
+        // A sample of which no vertices are left goes beside the first leaf that came of its cluster.
         for (sample, cells) in &pieces.split {
             let part = cells.first().map(|range| &pieces.parts[range.start]);
             beside.extend(part.map(|part| (*sample, part.tree, part.place)));
@@ -90,7 +92,7 @@ pub(super) fn append(
     out
 }
 
-/// The new trees of all cells, and what becomes of the samples whose clusters are split there.
+/// New trees of all cells, and the leaves of the samples whose clusters are split there.
 fn renew(
     kept: &KeptCells,
     positions: &[Vec3],
@@ -123,7 +125,8 @@ fn renew(
 }
 
 impl Appended {
-    /// The samples that go on standing for parts of what they stood for, for each part; they are split.
+    /// Sample that goes on to stand for each part of its former cluster, if one does. The samples of all
+    /// these clusters are noted as split.
     fn heirs(
         &mut self,
         kept: &KeptCells,
@@ -200,7 +203,7 @@ impl Appended {
 }
 
 impl SplitSamples {
-    /// All parts of a sample in a cell are there.
+    /// Ends the list of a sample's parts in a cell.
     fn close(&mut self, open: Option<(u32, u32, usize)>) {
         if let Some((sample, _, first)) = open {
             self.split.entry(sample).or_default().push(first..self.parts.len());
@@ -208,9 +211,9 @@ impl SplitSamples {
     }
 }
 
-/// How what has grown is taken.
+/// Inputs from which new leaves become samples, for one cell.
 struct Taking<'a, 'g> {
-    /// Where the samples are that were there.
+    /// Positions of the samples before the refinement, local.
     positions: &'a [Vec3],
     guides: Option<&'a Guides<'g>>,
     /// The place of the cell's tree among those that are looked at.
@@ -218,13 +221,14 @@ struct Taking<'a, 'g> {
 }
 
 impl Taking<'_, '_> {
-    /// The sample that the vertices of a sheet had before, among those of a sample's cluster.
+    /// Sample that the vertices of a sheet had before, among those that share a sample's cluster.
     fn own(&self, sample: u32, guide: u32) -> u32 {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }
 
-    /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the
-    /// tree; and where the vertices of the others go on with a sample that was there.
+    /// Leaves that come of a grown leaf below a split sample, one for each sheet, that with most vertices
+    /// first; and the built leaves from which on the vertices of a sheet belong to a sample that was there.
+    /// `place` is that of the leaf's sample in the tree.
     fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<NewLeaf>, Vec<(u32, u32)>) {
         let node = &grown.nodes[i];
         let whole = (node.position, node.normal, node.reach);
@@ -277,7 +281,7 @@ struct Renewed<'a, S> {
 }
 
 impl<S: Iterator<Item = u32>> Renewed<'_, S> {
-    /// A node as it was.
+    /// Copies a node of the former tree.
     fn copy(&mut self, at: usize) {
         let children = self.old.children[at];
         self.tree.children.push(children);

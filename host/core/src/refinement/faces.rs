@@ -26,8 +26,8 @@ const NEAR: u64 = 4 << 10;
 const BYTES: u64 = size_of::<u32>() as u64;
 const POSITION_BYTES: u64 = size_of::<Vec3>() as u64;
 
-/// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4
-/// and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
+/// Leaf of each vertex that was read, and the vertex's position if faces place the samples: in temporary
+/// files of 4 and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
 pub(super) struct ReadMembers {
     file: Scratch,
     /// Local coordinates.
@@ -35,8 +35,8 @@ pub(super) struct ReadMembers {
 }
 
 impl ReadMembers {
-    /// A table without members yet, for a model of so many vertices; `with_positions` says whether these are
-    /// wanted.
+    /// Table without members yet, for a model of `vertices` vertices; `with_positions` says whether positions
+    /// are wanted.
     pub fn new(vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
         let file = |bytes| {
             let file = Scratch::new(folder, ADVICE)?;
@@ -92,12 +92,12 @@ pub(super) struct NewSampleOf<'a> {
     appended: &'a Appended,
 }
 
-/// What the faces come to.
+/// Triangles and positions that the model's faces give after a refinement.
 pub(super) struct RefinedFaces {
     pub triangles: Vec<[u32; 3]>,
-    /// Where the new samples are, if faces place them.
+    /// Positions of the new samples, if faces place them.
     pub positions: Option<Vec<Vec3>>,
-    /// How many bytes of the model were read.
+    /// Number of bytes of the model that were read.
     pub bytes: u64,
 }
 
@@ -115,15 +115,15 @@ impl NewSampleOf<'_> {
         Some((sample, self.appended.split.get(sample as usize).is_none_or(|split| *split)))
     }
 
-    /// Where the faces are whose triangles may change: those with a vertex of a sample that is split.
+    /// Ranges of the faces whose triangles may change: those with a vertex of a sample that is split.
     fn ranges(&self, kept: &KeptCells) -> Vec<Range<u64>> {
         let changes = |cell: &&KeptCell| cell.tree.samples.iter().any(|s| self.appended.split[*s as usize]);
         joined(kept.cells.iter().filter(changes).flat_map(|cell| cell.faces.iter().cloned()), NEAR)
     }
 
-    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are:
-    /// the new triangles, where the faces place the new samples, no further than `slack` allows, if they
-    /// shall, and how many bytes were read.
+    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are;
+    /// returns the new triangles, the positions of the new samples where faces place them, no further than
+    /// `slack` allows, and the number of bytes that were read.
     ///
     /// Memory: 12 bytes per triangle, twice while the list grows; that of [`Planes`]; the chunks of
     /// [`for_faces`].

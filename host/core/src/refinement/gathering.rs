@@ -22,11 +22,12 @@ pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
 pub(crate) struct GatheredCell {
     /// The cell's place among the kept cells.
     pub cell: u32,
-    /// In the order of the stream, counted.
+    /// Vertices in the order of the stream, counted.
     pub vertices: Vec<Vertex>,
-    /// The index of each in the model; none, if nobody asks.
+    /// Index of each vertex in the model; empty, if it is not asked for.
     pub ids: Vec<u32>,
-    /// What the cell's tree was built of, if not of the vertices: groups, and that of each vertex.
+    /// Groups that the cell's tree was built of, and the group of each vertex; `None` if the tree was built
+    /// of the vertices.
     pub groups: Option<(Vec<Vec<Group>>, Vec<u32>)>,
     /// A sample on the sheet of each vertex, if the model touches itself in the cell.
     pub guides: Vec<u32>,
@@ -36,7 +37,7 @@ pub(crate) struct GatheredCell {
 pub(crate) struct Visited<'a> {
     /// The place of its cell among these.
     pub at: u32,
-    /// In the model's coordinates; finite.
+    /// Position in the model's coordinates; finite.
     pub position: DVec3,
     /// The unit normal; zero where it is not known.
     pub normal: Vec3,
@@ -47,7 +48,7 @@ pub(crate) struct Visited<'a> {
 }
 
 impl Visited<'_> {
-    /// One of its attributes, of those that are read.
+    /// One of the vertex's attributes, of those that are read.
     pub fn attribute(&self, place: usize) -> f64 {
         let (of_chunk, vertex) = self.attributes;
         of_chunk[place][vertex]
@@ -58,28 +59,28 @@ impl Visited<'_> {
 /// other cell.
 type CurrentCell = (Bounds, Option<u32>);
 
-/// What is read, and how.
+/// Choice of what is read of the model's vertices, and the model.
 pub(crate) struct Gathering<'a> {
     pub model: &'a dyn Model,
     pub kept: &'a KeptCells,
     pub frame: Frame,
-    /// How groups were gathered, if there were groups.
+    /// Cubes in which groups were gathered; `None` if there were no groups.
     pub cubes: Option<Cubes>,
-    /// Whether it shall be known which vertex is which.
+    /// Whether the vertices' indices are gathered as well.
     pub with_ids: bool,
-    /// So many of the first attributes are read.
+    /// Number of attributes, from the first on, that are read.
     pub attributes: usize,
     /// Splats that were left out when the model was sampled, and are again.
     pub opaque: Option<Opaque>,
 }
 
 impl Gathering<'_> {
-    /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more
-    /// while it is clustered, with the nodes of a tree down to it.
+    /// Largest number of bytes that a vertex takes until its cell is done: itself, its index and group, and
+    /// once more while it is clustered, with the nodes of a tree down to it.
     pub const BYTES_PER_VERTEX: u64 = 240;
 
-    /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices
-    /// that is not what it was: the model has changed.
+    /// Reads some cells; returns them and the number of bytes that were read. `None` if a cell has more or
+    /// fewer vertices than it had: the model has changed.
     ///
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<GatheredCell>, u64)>> {
@@ -135,8 +136,8 @@ impl Gathering<'_> {
     }
 
     /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the
-    /// stream leaves them; how many bytes of the model that took. `None` once `visit` says `false`: that the
-    /// model has changed.
+    /// stream leaves them; returns the number of bytes that were read. `None` once `visit` says `false`: that
+    /// the model has changed.
     ///
     /// Memory: a chunk.
     pub fn visit(
@@ -150,7 +151,7 @@ impl Gathering<'_> {
         let (mut bytes, mut chunk) = (0, VertexChunk::default());
         let mut attributes = vec![Vec::new(); self.attributes];
         for range in self.ranges(cells) {
-            // What lies between two ranges was in other cells.
+            // The vertices between two ranges were in other cells, so no cell is current.
             let mut current: Option<CurrentCell> = None;
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
@@ -216,7 +217,7 @@ impl Gathering<'_> {
         (vertices as f64 / info.vertices.max(1) as f64 * info.vertex_bytes as f64) as u64
     }
 
-    /// What of the stream holds these cells, ascending.
+    /// Ranges of the stream that hold the vertices of these cells, ascending.
     pub fn ranges(&self, cells: &[u32]) -> Vec<Range<u64>> {
         // Where reading cannot begin anywhere, going on costs less than beginning again.
         let near = self.model.info().near();
@@ -263,7 +264,7 @@ impl GroupsAgain {
         let groups = self.piece.end();
         let mut merged = Vec::with_capacity(groups.len());
         for (cell, group) in &groups {
-            // There is no bound to their memory.
+            // Groups of a refinement have no bound to their memory.
             merged.push(self.all.merge(*cell, group)?.unwrap_or(0));
         }
         for (cell, group) in self.in_piece.drain(..) {
@@ -275,7 +276,7 @@ impl GroupsAgain {
 }
 
 impl GatheredCell {
-    /// In how many parts the cell's tree was built.
+    /// Number of parts in which the cell's tree was built.
     pub fn parts(&self) -> usize {
         match &self.groups {
             Some((parts, _)) => parts.len(),

@@ -1,10 +1,10 @@
 //! Local refinement (paper §6): more samples where the user asks, appended to P_S.
 //!
-//! The cells that the selection meets are known from what sampling kept. Only their ranges of the model are
-//! read (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller error inside
-//! the selection and a rising one around it (`selection`), and what is below the samples that were there
-//! becomes new ones (`appending`), with triangles from the model's faces (`faces`). It works again and again,
-//! down to the vertices themselves.
+//! The cells that the selection meets are known from the cells that sampling kept. Only their ranges of the
+//! model are read (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller
+//! error inside the selection and a rising one around it (`selection`), and the clusters below the former
+//! samples become new ones (`appending`), with triangles from the model's faces (`faces`). Refinement works
+//! again and again, down to the vertices themselves.
 
 mod appending;
 mod faces;
@@ -46,24 +46,25 @@ use regrowing::{ChangedModel, Regrowing, Regrown};
 use selection::{LeafEstimate, Selected};
 use sizing::Sizing;
 
-/// The fineness of P_S where it is selected.
+/// Fineness of P_S where it is selected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Finer {
-    /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of
-    /// its own.
+    /// Largest error of a cluster there, as a fraction of the diagonal; 0 gives every vertex a sample of its
+    /// own.
     Error(f64),
-    /// About so many times as many samples as there are.
+    /// Factor by which the number of samples there grows, about.
     Factor(f64),
-    /// About so many samples more.
+    /// Number of new samples, about.
     Samples(u64),
-    /// As the deformation so far needs it: more samples around those where the reconstruction is expected
-    /// ([`DeformationField::expected_error`]) to be off by more than this.
+    /// Fineness that the deformation so far needs: more samples around those where the reconstruction is
+    /// expected ([`DeformationField::expected_error`]) to be off by more than this.
     Auto {
-        /// The transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if nobody
-        /// knows better.
+        /// Transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if no other is
+        /// given.
         error: f64,
-        /// Most samples more, for the worst places; a quarter of those that there are, where not given.
+        /// Largest number of new samples, for the worst places; a quarter of those that there are, where not
+        /// given.
         samples: Option<u64>,
     },
 }
@@ -72,10 +73,11 @@ impl Finer {
     /// A transfer error that hardly anybody sees, as a fraction of the diagonal.
     pub const ALLOWED: f64 = 1e-5;
 
-    /// How many samples more are allowed for each one that there is, where nobody says.
+    /// Number of new samples that are allowed for each sample that there is, unless another number is given.
     const SHARE: f64 = 0.25;
 
-    /// Whether it is a fineness that makes sense.
+    /// Whether the numbers are in their range: an error that is finite and not negative (positive for
+    /// `Auto`), a finite factor above 1, a count from 1 to 2³² − 1.
     pub fn makes_sense(&self) -> bool {
         let is_count = |n: u64| (1..=u64::from(u32::MAX)).contains(&n);
         match *self {
@@ -87,14 +89,14 @@ impl Finer {
     }
 }
 
-/// What a refinement is asked for.
+/// Request of a refinement.
 #[derive(Debug, Clone)]
 pub struct Refining {
     /// The fineness that is wanted.
     pub finer: Finer,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// What is selected, as it will stand among the sampled model's refinements.
+    /// The selected shapes, as the sampled model's record of its refinements gets them.
     pub shapes: Vec<toml::Table>,
 }
 
@@ -106,7 +108,7 @@ pub struct Refined {
     pub added: u64,
     /// The error bound inside the selection, as a fraction of the diagonal.
     pub error: f64,
-    /// What the deformation needs, if that was asked for.
+    /// Number of samples that the deformation needs, if that was asked for.
     pub need: Option<SamplesNeed>,
     /// Number of cells that were read.
     pub cells: u64,
@@ -122,37 +124,39 @@ pub struct SamplesNeed {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
     /// diagonal.
     pub expected: f64,
-    /// The error that the new samples allow: the one asked for, or more, if there may not be enough of them.
+    /// Error that the new samples allow: the one asked for, or more, if there may not be enough of them; a
+    /// fraction of the diagonal.
     pub allowed: f64,
-    /// Around how many samples more than that was expected, and others would help.
+    /// Number of samples around which more than that was expected, and others would help.
     pub samples: u64,
-    /// Whether nowhere more was expected than what was asked for.
+    /// Whether the expected error was nowhere more than the one that was asked for.
     pub is_met: bool,
 }
 
 impl SamplesNeed {
-    /// Why nothing is added where more is expected than what was asked for.
+    /// Reason why no samples are added though more is expected than was asked for.
     pub const NONE_LEFT: &str = "there are no vertices left there that could be samples";
 }
 
-/// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much,
-/// unless one is larger.
+/// Largest number of bytes of vertices, and of what they take, that are in work at a time: cells come in
+/// batches of this size, unless one is larger.
 const BATCH: u64 = 96 << 20;
 
 /// Bytes that a new sample takes until P_S is complete: 1.4 nodes, before and after the cut, and the tree's
 /// and its own.
 const BYTES_PER_SAMPLE: u64 = 200;
 
-/// With a target, trees are cut back when they have so many times as many leaves ...
+/// Ratio of leaves to the target number above which trees are cut back ...
 const KEEP_AT_MOST: f64 = 1.6;
-/// ... to so many times as many.
+/// ... and the ratio to which they are.
 const PRUNE_TO: f64 = 1.2;
 
-/// A number of samples is met to one of so many, where sheets share clusters: their samples come with those
-/// of the trees.
+/// Number of samples of which one may be missing of the target, where sheets share clusters: their samples
+/// come with those of the trees.
 const NEAR_TARGET: usize = 64;
 
-/// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
+/// Factor by which a bound has to be less than the one that the number of samples foretells, to be low
+/// enough, mostly.
 const FORESIGHT: f64 = 3.0;
 
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are
@@ -213,8 +217,8 @@ pub fn refine(
     Ok(refined)
 }
 
-/// How samples are sized where they are selected, and what the deformation needs, if that was asked for; no
-/// sizes, if it needs nothing.
+/// Sizes of clusters for a fineness where a selection is, and the samples that the deformation needs, for
+/// [`Finer::Auto`] alone; no sizes, if the deformation needs no samples.
 fn sized<'a>(
     sampled: &'a SampledModel,
     selection: SpaceSelection<'a>,
@@ -229,8 +233,8 @@ fn sized<'a>(
     }
 }
 
-/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a
-/// deformation of those that were there before, or of those among them that are around.
+/// Deformed positions (in the model's coordinates) of the samples that a refinement has appended, from
+/// `first` on, by a deformation of the samples before, or of those among them that are around.
 pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
@@ -238,7 +242,7 @@ pub fn appended_deformed(refined: &SampledModel, first: usize, field: &Deformati
 }
 
 impl Refined {
-    /// Nothing was read, or added.
+    /// Figures of a refinement that has read and added nothing.
     fn nothing() -> Self {
         Self { sampled: None, added: 0, error: 0.0, need: None, cells: 0, vertex_bytes: 0, face_bytes: 0 }
     }
@@ -251,8 +255,8 @@ fn meets_nothing() -> Error {
     )
 }
 
-/// What the deformation so far needs where it is selected, for a transfer error (a fraction of the diagonal)
-/// and a number of samples; no sizes, if it needs nothing.
+/// Samples that the deformation so far needs inside a selection, for a transfer error (a fraction of the
+/// diagonal) and a number of samples at most; no sizes, if it needs none.
 fn needs<'a>(
     sampled: &'a SampledModel,
     selection: SpaceSelection<'_>,
@@ -307,9 +311,9 @@ struct RefinementCall<'a, 'g> {
     kept: &'a KeptCells,
     model: &'a dyn Model,
     sizing: Sizing<'a>,
-    /// What is known of each leaf of each cell.
+    /// Estimates of each leaf of each cell, before the model is read.
     leaves: Vec<Vec<LeafEstimate>>,
-    /// Where the model touches itself.
+    /// Contacts where the model touches itself, with the sheet of each vertex there.
     guides: Option<&'a Guides<'g>>,
     how: &'a Refining,
     folder: &'a Path,
@@ -318,7 +322,8 @@ struct RefinementCall<'a, 'g> {
 
 /// Trees as they grow, batch by batch.
 struct GrowingTrees {
-    /// What is split has larger errors, local units; it rises where there is more than was asked for.
+    /// Bound on the error of clusters, local units; a cluster with more is split. The bound rises where there
+    /// would be more samples than were asked for.
     bound: f32,
     regrown: Vec<Regrown>,
     /// Nodes that were built so far.
@@ -328,7 +333,7 @@ struct GrowingTrees {
 }
 
 impl GrowingTrees {
-    /// One more cell, whose leaves are counted on from those before.
+    /// Adds one more cell, whose leaves are counted on from those before.
     fn push(&mut self, mut cell: Regrown, leaves_from: u32) -> Result<()> {
         cell.count_from(self.built, leaves_from);
         self.built = self.built.wrapping_add(cell.built);
@@ -343,11 +348,11 @@ impl GrowingTrees {
 /// The goal of a refinement.
 #[derive(Clone, Copy)]
 struct RefinementGoal {
-    /// Least bound that is looked at, local units.
+    /// Least bound that is tried, local units.
     least: f32,
-    /// How many samples more; by the bound alone, if none are given.
+    /// Number of new samples; `None` if the bound alone decides.
     samples: Option<usize>,
-    /// Whether fewer will do.
+    /// Whether fewer samples than that will do.
     at_most: bool,
 }
 
@@ -363,7 +368,7 @@ struct GrownTrees {
     members: Option<ReadMembers>,
     /// The vertices near contacts, where there are such.
     noted: Option<ContactVertices>,
-    /// The figures of what was read.
+    /// Figures of the vertices and faces that were read.
     figures: Refined,
 }
 
@@ -411,7 +416,7 @@ impl RefinementCall<'_, '_> {
         if let Some(done) = self.regrow(goal)? {
             return Ok(done);
         }
-        // What was foretold was too coarse.
+        // The bound that was foretold from the samples was too coarse.
         match self.regrow(RefinementGoal { least: 0.0, ..goal })? {
             Some(done) => Ok(done),
             None => unreachable!("down to the vertices, no bound is too coarse"),
@@ -446,7 +451,8 @@ impl RefinementCall<'_, '_> {
         Ok(Some(GrownTrees { bound, cells: regrown, members, noted, figures }))
     }
 
-    /// Where the vertices of cells are noted, if there are triangles, of which more cells are concerned then.
+    /// File in which the leaves of the cells' vertices are noted, if there are triangles; `cells` then gets
+    /// the cells around as well, which have vertices of the same faces.
     fn members_of(&self, cells: &mut Vec<Met>) -> Result<Option<ReadMembers>> {
         if self.sampled.triangles.is_empty() || cells.is_empty() {
             return Ok(None);
@@ -469,7 +475,7 @@ impl RefinementCall<'_, '_> {
         }
     }
 
-    /// The vertices of a batch of cells, and how many bytes they have in the model.
+    /// Vertices of a batch of cells, and the number of their bytes in the model.
     fn read(&self, gathering: &Gathering<'_>, batch: &[Met]) -> Result<(Vec<GatheredCell>, u64)> {
         let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
         self.progress.begin("reading the cells", gathering.bytes_of(&places));
@@ -505,7 +511,7 @@ impl RefinementCall<'_, '_> {
         found?.into_iter().try_for_each(|cell| growing.push(cell, how.leaves_from))
     }
 
-    /// Tells each vertex of a cell near a contact which side it is of, and notes it.
+    /// Finds the side of each vertex of a cell near a contact, and notes it.
     fn guide(
         &self,
         guides: &Guides<'_>,
@@ -544,7 +550,7 @@ impl RefinementCall<'_, '_> {
         Ok(())
     }
 
-    /// The bound that gives so many samples more, those included that sheets which share clusters take beside
+    /// Bound that gives `target` new samples, those included that sheets which share clusters take beside
     /// those of the trees.
     fn threshold(&self, regrown: &[Regrown], bound: f32, target: usize) -> Result<f32> {
         let (kept, most) = (self.kept, self.most_samples());
@@ -561,7 +567,8 @@ impl RefinementCall<'_, '_> {
         if sheets == 0 {
             return Ok(whole);
         }
-        // Fewer in the trees are fewer in all; where sheets have few, what they leave is a good guess.
+        // Fewer samples in the trees are fewer in all; where sheets have few, the rest that they leave is a
+        // good guess.
         let (mut fits, mut more, mut threshold) = (0, target, of_trees(0));
         let mut tried = target.saturating_sub(sheets);
         loop {
@@ -580,13 +587,13 @@ impl RefinementCall<'_, '_> {
         Ok(threshold)
     }
 
-    /// So many new samples memory has room for.
+    /// Number of new samples that memory has room for.
     fn most_samples(&self) -> u64 {
         self.limit() / 2 / BYTES_PER_SAMPLE
     }
 
-    /// The triangles of all samples by the model's faces, which place the new ones where they do so; and how
-    /// many bytes of faces were read.
+    /// Triangles of all samples by the model's faces, which place the new ones where they do so; and the
+    /// number of bytes of faces that were read.
     fn reindex(
         &self,
         members: ReadMembers,

@@ -1,9 +1,9 @@
-//! Where a deformation needs more samples: around those where the reconstruction is expected to be off by
-//! more than is allowed.
+//! Needs of a deformation: more samples around those where the reconstruction is expected to be off by more
+//! than is allowed.
 //!
-//! What the expansions leave out is taken to fall with a power of the size of clusters, which tells how much
-//! smaller those of each sample have to be. If there are more new samples than allowed, the error that is
-//! allowed rises until there are not: the worst places come first.
+//! The error of the expansions is taken to fall with a power of the size of clusters, which tells how much
+//! smaller the clusters of each sample have to be. If there are more new samples than allowed, the error that
+//! is allowed rises until there are not: the worst places come first.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -17,8 +17,8 @@ use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::kept_cells::KeptCells;
 use crate::touching::Contacts;
 
-/// The power of the clusters' size that the error falls with, where the deformation is smooth: what
-/// expansions of second order leave out. Beside a step it falls more slowly.
+/// Power of the clusters' size with which the error falls, where the deformation is smooth: that of the terms
+/// which expansions of second order leave out. Beside a step it falls more slowly.
 const ORDER: f32 = 3.0;
 
 /// Halvings of the logarithm of the error that is allowed.
@@ -27,7 +27,7 @@ const HALVINGS: usize = 16;
 /// Neighbours whose wishes are looked at for a place near a sample.
 const RING: usize = 8;
 
-/// How much the bound of a cluster's error may rise with the distance.
+/// Largest rise of the bound of a cluster's error per unit of distance.
 const RISE: f32 = (REACH_WEIGHT * GRADING) as f32;
 
 /// The error that clusters may have around each sample.
@@ -37,7 +37,7 @@ pub(super) struct Needs<'a> {
     wanted: Vec<f32>,
     /// The least error that is wanted anywhere.
     pub least: f32,
-    /// The transfer error that they allow, at least that which was asked for; local units.
+    /// Transfer error that these cluster errors allow, at least that which was asked for; local units.
     pub allowed: f32,
     /// Number of samples around which more is expected.
     pub needy: usize,
@@ -72,7 +72,8 @@ impl<'a> Needs<'a> {
         Some(if needs.needy > 0 { needs } else { at(low.exp()).0 })
     }
 
-    /// What it takes for an error to be met everywhere, and about how many new samples that is.
+    /// Needs by which the expected error is at most `allowed` everywhere, and about the number of new samples
+    /// for them.
     fn allowing(samples: &'a SampleSet, errors: &[f32], expected: &[f32], allowed: f32) -> (Self, f64) {
         let (mut wanted, mut open) = (vec![f32::INFINITY; errors.len()], OpenSamples::new());
         let needy = want(samples, (errors, expected), allowed, &mut wanted, &mut open);
@@ -84,7 +85,7 @@ impl<'a> Needs<'a> {
         (Self { samples, wanted, least, allowed, needy }, count)
     }
 
-    /// How much more than the least error a cluster in this ball may have; local units.
+    /// Amount by which the bound of a cluster inside this ball is above the least one; local units.
     pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         self.around(self.samples.nearest(center) as usize, center, radius)
     }
@@ -97,7 +98,7 @@ impl<'a> Needs<'a> {
         bound - self.least
     }
 
-    /// What is known of each leaf of each cell without the model.
+    /// Estimates of each leaf of each cell, from the samples alone, without the model.
     pub fn leaves(&self, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         let of_cell = |tree: &crate::sampling::kept_cells::CutTree| {
             let errors = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
@@ -117,8 +118,9 @@ impl<'a> Needs<'a> {
 /// bits.
 type OpenSamples = BinaryHeap<Reverse<(u32, u32)>>;
 
-/// What the clusters around each sample that is off by more have to be split to; and how many such samples
-/// there are, around which that helps.
+/// Lowers the `wanted` error of the clusters around each sample that is expected to be off by more than
+/// `allowed`; `open` gets these clusters. Returns the number of such samples around which a cluster can be
+/// split.
 fn want(
     samples: &SampleSet,
     (errors, expected): (&[f32], &[f32]),
@@ -130,7 +132,8 @@ fn want(
     let mut needy = 0;
     for (i, expected) in expected.iter().enumerate().filter(|(_, expected)| **expected > allowed) {
         let smaller = (allowed / expected).powf(1.0 / ORDER);
-        // Where the cluster is a single place, what the expansion leaves out is due to those around.
+        // A cluster that is a single place cannot be split: the error of its expansion is due to the clusters
+        // around.
         let is_several = |k: &usize| errors[*k] > 0.0;
         let near = graph.nearest_to(i).iter().map(|j| *j as usize);
         let mut helping: Vec<usize> =
@@ -158,7 +161,8 @@ fn want(
     needy
 }
 
-/// Errors rise with the distance from the samples that are open by no more than so much.
+/// Limits the wanted errors of the samples around those that are `open`: errors rise with the distance from
+/// these by no more than [`RISE`].
 fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: OpenSamples) {
     let graph = samples.neighbours();
     while let Some(Reverse((bits, i))) = open.pop() {
@@ -169,7 +173,7 @@ fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: Open
         for j in graph.nearest_to(i as usize).iter().take(RING) {
             let (i, j) = (i as usize, *j as usize);
             let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
-            // Beyond, it changes nothing any more.
+            // Farther samples' errors are no larger than this bound, so it changes nothing there.
             if bound < wanted[j].min(errors[j]) {
                 wanted[j] = bound;
                 open.push(Reverse((bound.to_bits(), j as u32)));

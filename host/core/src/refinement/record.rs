@@ -19,7 +19,7 @@ pub struct Refinement {
 }
 
 impl Refinement {
-    /// What was selected, on one line.
+    /// Selected shapes as text, on one line.
     pub fn places(&self) -> String {
         let shape = |table: &toml::Table| toml::Value::from(table.clone()).to_string();
         if self.shapes.is_empty() {

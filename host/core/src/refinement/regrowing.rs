@@ -1,7 +1,7 @@
 //! A cell's tree goes on where it stopped (paper §6).
 //!
 //! The kept tree tells which clusters were split, and splits follow from the vertices alone. So the tree is
-//! built again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above
+//! built again along the kept one, which gives the vertices of each leaf; and where a leaf's error is above
 //! the bound, a VS-Tree of these vertices goes on below it. The result does not depend on how many
 //! refinements led there.
 
@@ -28,16 +28,16 @@ pub(super) struct GrownNode {
     pub normal: Vec3,
     /// Half of its box's diagonal.
     pub reach: f32,
-    /// The node's error, or that of one above if that is less.
+    /// Error of the node, or that of a node above if that is less.
     pub error: f32,
-    /// The error less the slack, or that of an ancestor which is not kept; what a bound inside the selection
-    /// is compared with.
+    /// Error less the slack, or that of an ancestor which is not kept; a bound inside the selection is
+    /// compared with this.
     pub graded: f32,
     /// Index behind its subtree.
     pub end: u32,
     /// The node's first leaf, counted in the tree as it was built.
     pub first: u32,
-    /// The kept node that it is.
+    /// Kept node that this node is.
     pub known: Option<u32>,
 }
 
@@ -60,12 +60,12 @@ pub(super) struct Grown {
 pub(super) struct Sheet {
     /// A sample on the sheet.
     pub guide: u32,
-    /// The leaves with such vertices, ascending, and what these are.
+    /// Leaves with such vertices, ascending, and the moments of these.
     leaves: Vec<(u32, Moments)>,
 }
 
 impl Sheet {
-    /// What is on the sheet in a range of leaves; nothing, if it has no vertices there.
+    /// Moments of the sheet's vertices in a range of leaves; zero, if it has no vertices there.
     pub fn moments(&self, leaves: Range<u32>) -> Moments {
         let start = self.leaves.partition_point(|(leaf, _)| *leaf < leaves.start);
         let inside = self.leaves[start..].iter().take_while(|(leaf, _)| *leaf < leaves.end);
@@ -76,22 +76,22 @@ impl Sheet {
     }
 }
 
-/// What became of a cell.
+/// New nodes of a kept cell's tree.
 #[derive(Debug)]
 pub(super) struct Regrown {
     /// The cell's place among the kept cells.
     pub cell: u32,
-    /// In the order of their roots.
+    /// Grown nodes below each root, in the order of the roots.
     pub grown: Vec<Grown>,
-    /// For each vertex its index in the model and its leaf: a sample that was there, or `leaves_from` and on.
-    /// None, if nobody asked.
+    /// Index in the model of each vertex, and its leaf: a sample from before, or a number from `leaves_from`
+    /// on. Empty, if they are not asked for.
     pub members: Vec<(u32, u32)>,
     /// Number of leaves that were built.
     pub built: u32,
 }
 
 impl Regrown {
-    /// At most how many samples sheets take beside those of the tree, at a cut.
+    /// Number of samples that sheets take at a cut beside those of the tree, at most.
     pub fn beside(&self, bound: f32, kept: &KeptCells) -> usize {
         let tree = &kept.cells[self.cell as usize].tree;
         let of_leaf = |grown: &Grown, i: usize| {
@@ -106,7 +106,8 @@ impl Regrown {
         self.grown.iter().filter(|grown| !grown.sheets.is_empty()).map(of_grown).sum()
     }
 
-    /// So many leaves of other cells come before those of this one.
+    /// Counts the leaves on from `before`, the number of leaves of other cells that come before those of this
+    /// one.
     pub fn count_from(&mut self, before: u32, leaves_from: u32) {
         self.grown.iter_mut().for_each(|grown| grown.first_leaf += before);
         let built = self.members.iter_mut().filter(|(_, leaf)| *leaf >= leaves_from);
@@ -126,12 +127,12 @@ pub(super) struct Regrowing<'a, 'g> {
     pub bound: f32,
     /// Number of the first leaf that is built: those before are samples.
     pub leaves_from: u32,
-    /// Where the model touches itself.
+    /// Contacts where the model touches itself, with the sheet of each vertex there.
     pub guides: Option<&'a Guides<'g>>,
 }
 
 impl Grown {
-    /// The number of a node's first leaf among those of all cells, on a sheet.
+    /// Number of a node's first leaf on a sheet, among those of all cells.
     pub fn first_leaf(&self, i: usize, sheet: usize) -> u32 {
         self.first_leaf + sheet as u32 * self.built + self.nodes[i].first
     }
@@ -142,7 +143,7 @@ impl Grown {
         node.first..self.nodes.get(node.end as usize).map_or(self.built, |next| next.first)
     }
 
-    /// The nodes down to a cut inside the selection, and whether each is a leaf of it.
+    /// Nodes down to a cut inside the selection, and whether each is a leaf of the cut.
     pub fn cut(&self, bound: f32, tree: &CutTree) -> Vec<(usize, bool)> {
         let (mut found, mut i) = (Vec::new(), 0);
         while let Some(node) = self.nodes.get(i) {
@@ -154,8 +155,8 @@ impl Grown {
         found
     }
 
-    /// The clusters that a cut can split beyond what is kept: what the bound is compared with, and how many
-    /// clusters the split adds.
+    /// Clusters that a cut can split beyond the kept tree: the error that the bound is compared with, and the
+    /// number of clusters that the split adds.
     pub fn splits<'a>(&'a self, tree: &'a CutTree) -> impl Iterator<Item = (f32, u32)> + 'a {
         let can = |i: &usize| {
             let node = &self.nodes[*i];
@@ -169,10 +170,10 @@ impl Grown {
         children(i, |node| self.nodes[node].end)
     }
 
-    /// Drops what is below a cut.
+    /// Drops all nodes below a cut.
     pub fn prune(&mut self, bound: f32, tree: &CutTree) {
         let kept = self.cut(bound, tree);
-        // How many of the nodes before each one are kept.
+        // Number of nodes before a node that are kept, which is the node's new place.
         let place = |end: u32| kept.partition_point(|(i, _)| *i < end as usize) as u32;
         self.nodes = kept
             .iter()
@@ -182,8 +183,8 @@ impl Grown {
 }
 
 impl Regrowing<'_, '_> {
-    /// Goes on with the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that
-    /// went on below a leaf before are built again where it is, or if the members are asked for.
+    /// Regrows the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that went
+    /// on below a leaf before are built again where it is, or if the members are asked for.
     pub fn regrow(
         &self,
         mut gathered: GatheredCell,
@@ -206,7 +207,7 @@ impl Regrowing<'_, '_> {
             let has_grown = leaf.samples.len() > 1;
             let is_asked_for = has_grown && !gathered.ids.is_empty();
             let samples = &tree.samples[leaf.samples.clone()];
-            // Where no sheets meet, nobody asks for the vertices' own.
+            // Where no sheets meet, no guides of the vertices are needed.
             let guides = self.guides.filter(|all| !gathered.guides.is_empty() && all.concern(samples));
             if !refined && !is_asked_for {
                 for v in of_leaf.iter().map(|v| *v as usize).filter(|v| *v < gathered.ids.len()) {
@@ -288,8 +289,8 @@ impl Regrowing<'_, '_> {
         Ok((0..gathered.vertices.len()).map(|v| leaf_of_item[gathered.item_of(v)]).collect())
     }
 
-    /// The tree of the vertices of a leaf: as far as it is kept, and on from there if it is `refined`. Also
-    /// its number of leaves; the leaf of each vertex is in the workspace.
+    /// Tree of the vertices of a leaf: as far as it is kept, and on from there if it is `refined`. Also its
+    /// number of leaves; the leaf of each vertex is in the workspace.
     fn grow(
         &self,
         vertices: &mut [Vertex],
@@ -299,7 +300,7 @@ impl Regrowing<'_, '_> {
         refined: bool,
         workspace: &mut TreeWorkspace<Vertex>,
     ) -> Result<(Grown, u32), ChangedModel> {
-        // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
+        // Half diagonal and slack of each built node in turn, and the kept node that it is, if any.
         let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();
         let mut next = leaf.nodes.start;
         // The depth of the kept leaf below which new nodes come.
@@ -337,15 +338,15 @@ impl Regrowing<'_, '_> {
     }
 }
 
-/// The nodes of a tree that was built along a kept one, with what bounds are compared with. `told` has, of
-/// each node in turn, half its diagonal, its slack, and the kept node that it is.
+/// Nodes of a tree that was built along a kept one, with the errors that bounds are compared with. `told`
+/// has, of each node in turn, half its diagonal, its slack, and the kept node that it is.
 fn graded_nodes(
     built: &VsTree,
     told: Vec<(f32, f32, Option<u32>)>,
     tree: &CutTree,
 ) -> Result<Vec<GrownNode>, ChangedModel> {
     let mut nodes: Vec<GrownNode> = Vec::with_capacity(built.nodes.len());
-    // The ancestors of the node: the end of each one's subtree, and what it is graded.
+    // Ancestors of the node: the end of each one's subtree, and its graded error.
     let mut above: Vec<(u32, f32)> = Vec::new();
     for (i, (node, (reach, slack, known))) in built.nodes.iter().zip(told).enumerate() {
         while above.pop_if(|(end, _)| *end as usize <= i).is_some() {}
@@ -355,7 +356,7 @@ fn graded_nodes(
         {
             return Err(ChangedModel);
         }
-        // What is kept stays split, whatever the bound.
+        // A kept node that is split stays split, whatever the bound.
         let graded = match kept {
             Some(_) => f32::INFINITY,
             None => (node.key - slack).min(above.last().map_or(f32::INFINITY, |(_, graded)| *graded)),
@@ -375,7 +376,7 @@ fn graded_nodes(
     Ok(nodes)
 }
 
-/// A cell's tree as it is kept.
+/// Part of a cell's tree as it is kept.
 struct KeptBranch<'a> {
     rule: SplitRule,
     tree: &'a CutTree,
@@ -430,15 +431,15 @@ struct TopNode {
     end: usize,
     /// Number of leaves before it.
     leaf: u32,
-    /// The kept node that it is.
+    /// Kept node that this leaf is.
     kept: usize,
 }
 
-/// A sample of the first sampling: what has grown below it since.
+/// Sample of the first sampling, and the nodes that have grown below it since.
 struct TopLeaf {
     /// The kept nodes of its tree.
     nodes: std::ops::Range<usize>,
-    /// The leaves of its tree among those of the kept tree.
+    /// Leaves of the sample's tree among those of the kept tree.
     samples: std::ops::Range<usize>,
 }
 

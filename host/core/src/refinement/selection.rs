@@ -1,4 +1,5 @@
-//! Where a model is refined: the part of space that was selected, and how clusters may grow away from it.
+//! Selection of the part of space in which a model is refined, and the sizes that clusters may grow to away
+//! from it.
 //!
 //! Inside the selection no cluster keeps a larger error than the bound. Outside, the bound rises with the
 //! distance, so that sizes of neighbours differ little, as in the sizing fields of mesh generation (P.-O.
@@ -15,7 +16,7 @@ use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::grid::cell_box;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 
-/// How far clusters may reach, as a part of their distance from the selection.
+/// Ratio of a cluster's largest reach to its distance from the selection.
 pub(super) const GRADING: f64 = 1.0;
 
 /// A part of space, and the pose of the model in which it is meant.
@@ -26,7 +27,7 @@ pub struct SpaceSelection<'a> {
     pub distance: &'a (dyn Fn(DVec3) -> f64 + Sync),
     /// The deformation so far, if there is one.
     pub so_far: Option<&'a DeformationField<'a>>,
-    /// Whether the part is one of the model at rest nevertheless; of the deformed one otherwise.
+    /// Whether the part is one of the model at rest even so; otherwise it is one of the deformed model.
     pub at_rest: bool,
 }
 
@@ -36,7 +37,7 @@ impl<'a> SpaceSelection<'a> {
         self.so_far.filter(|_| !self.at_rest)
     }
 
-    /// Whether each sample is selected.
+    /// Whether each sample is inside the selection.
     pub(super) fn samples(&self, sampled: &SampledModel) -> Vec<bool> {
         let place = |i: usize| match self.pose() {
             Some(field) => field.place(&sampled.frame, i),
@@ -68,7 +69,8 @@ impl<'a> Selected<'a> {
         (self.selection.distance)(p) / self.frame.scale
     }
 
-    /// How much the bound of clusters in this ball is larger than inside the selection; local units.
+    /// Amount by which the bound of a cluster inside this ball is above that inside the selection; local
+    /// units.
     pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         slack(self.distance(center) - f64::from(radius))
     }
@@ -86,7 +88,7 @@ impl<'a> Selected<'a> {
         let contacts = sampled.samples.contacts();
         let of_cell = |cell: &KeptCell| {
             let to_cell = match self.selection.pose() {
-                // Where a cell goes is known of its samples alone.
+                // The place of a deformed cell is known by its samples alone.
                 Some(_) => f64::NEG_INFINITY,
                 None => {
                     let bounds = cell_box(cell.key, kept.level);
@@ -113,18 +115,19 @@ impl<'a> Selected<'a> {
     }
 }
 
-/// What is known of a leaf before the model is read.
+/// Error and slack of a leaf, estimated before the model is read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LeafEstimate {
     /// The leaf's error.
     pub error: f32,
     /// The slack, at most.
     pub slack: f32,
-    /// Whether it may reach into the selection.
+    /// Whether the leaf's cluster may reach into the selection.
     pub inside: bool,
 }
 
-/// What a distance that is no number gives is none either, and no cluster is refined for it.
+/// Rise of the bound at a distance from the selection, local units. A distance that is no number gives no
+/// number, and no cluster is refined for it.
 fn slack(distance: f64) -> f32 {
     (if distance <= 0.0 { 0.0 } else { REACH_WEIGHT * GRADING * distance }) as f32
 }

@@ -1,4 +1,4 @@
-//! How large clusters may be, and where: small inside a selection, or as a deformation needs them.
+//! Sizes that clusters may have, place by place: small inside a selection, or as a deformation needs them.
 
 use super::needs::Needs;
 use super::selection::{LeafEstimate, Selected};
@@ -6,16 +6,16 @@ use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::KeptCells;
 use glam::Vec3;
 
-/// How large clusters may be, and where.
+/// Sizes that clusters may have, place by place.
 pub(super) enum Sizing<'a> {
     /// Small inside a selection, and larger away from it.
     Selected(Selected<'a>),
-    /// As a deformation needs them.
+    /// Sizes that a deformation needs.
     Needed(Needs<'a>),
 }
 
 impl Sizing<'_> {
-    /// How much the bound of clusters in this ball is larger than the least one; local units.
+    /// Amount by which the bound of a cluster inside this ball is above the least one; local units.
     pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         match self {
             Self::Selected(selected) => selected.slack(center, radius),
@@ -23,8 +23,8 @@ impl Sizing<'_> {
         }
     }
 
-    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
-    /// whether a leaf may reach to where the bound is the least.
+    /// Estimates of each leaf of each cell, without the model: a bound for the slack, and whether a leaf may
+    /// reach to where the bound is the least.
     pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         match self {
             Self::Selected(selected) => selected.leaves(sampled, kept),

@@ -1,4 +1,4 @@
-//! What holds for any model, sampling and selection.
+//! Tests of refinement that hold for any model, sampling and selection.
 
 use std::path::PathBuf;
 
@@ -148,7 +148,7 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
         (odd, samples(2000)),
         (body(), Sampling { grouping: Grouping::Level(2), ..samples(2000) }),
         (body(), Sampling { splitting: Splitting::Octree, ..samples(2000) }),
-        // Fewer samples than cells, which share them.
+        // Fewer samples than cells share the cells.
         (body(), Sampling { grid: Some(64), ..samples(300) }),
         (body(), Sampling { target: Target::Error(4e-3), ..samples(0) }),
     ];
@@ -205,7 +205,7 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
     }
 }
 
-/// What a tree comes to does not depend on how it came there.
+/// The tree after several refinements is that after one.
 #[test]
 fn many_refinements_come_to_what_one_does() {
     for grouping in [Grouping::Never, Grouping::Level(2)] {
@@ -280,7 +280,7 @@ fn triangles_are_those_of_all_faces() {
     }
 }
 
-/// How faces are in a file.
+/// Form of the faces in a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Form {
     Shuffled,
@@ -346,7 +346,7 @@ impl Body {
     }
 }
 
-/// Only the faces of the cells are read, whatever they are like, and it makes no difference.
+/// The faces are read of the chosen cells only, whatever their form, and the result is the same.
 #[test]
 fn faces_of_every_form_are_read_where_they_are() {
     let body = Body::new(60_000);
@@ -402,14 +402,13 @@ fn numbers_of_samples_are_met() {
         let added = refined(&first, model.as_ref(), Finer::Samples(more), &place).unwrap().added;
         assert!(added <= more && added + 8 >= more * 49 / 50, "{added} for {more}");
     }
-    // More than there are vertices: all of them.
+    // A number of samples above that of the vertices gives all vertices.
     let all = refined(&first, model.as_ref(), Finer::Samples(1_000_000), &place).unwrap();
     let full = refined(&first, model.as_ref(), Finer::Error(0.0), &place).unwrap();
     assert_eq!(all.added, full.added);
 }
 
-/// No spikes: neighbours are not much nearer to each other than others around them, and spacings change
-/// slowly.
+/// Neighbours are not much nearer to each other than others around them, and spacings change slowly.
 #[test]
 fn density_is_graded() {
     let body = Body::new(200_000).without_faces();
@@ -469,7 +468,7 @@ fn models_that_have_changed_and_selections_that_meet_nothing_are_refused() {
     let error = failed(&first, other.write().as_ref(), Finer::Error(1e-4), &place);
     assert!(error.to_string().contains("changed since it was sampled"), "{error}");
 
-    // Trees that are not those of the model.
+    // Trees of another model are refused.
     let mut lying = first.held_cells().unwrap().clone();
     lying.cells.iter_mut().flat_map(|cell| &mut cell.tree.errors).for_each(|e| *e *= 1.25);
     let mut sampled = first;
@@ -526,7 +525,7 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     };
     let at_rest = run(&here, None).unwrap().sampled.unwrap();
     let moved = run(&there, Some(&field)).unwrap().sampled.unwrap();
-    // The same clusters, but for those at the rim, whose distance is rounded.
+    // Clusters are the same, but for those at the rim, whose distance is rounded.
     assert!(at_rest.samples.len().abs_diff(moved.samples.len()) < 20);
     assert!(run(&here, Some(&field)).is_err());
     for (rest, image) in moved.samples.positions[3000.min(first.samples.len())..]
@@ -558,14 +557,14 @@ fn all_triangles() -> Wanted<'static, 'static> {
     Wanted { triangles: true, ..Wanted::default() }
 }
 
-/// How far each vertex is off, as a fraction of the diagonal.
+/// Error of each vertex, as a fraction of the diagonal.
 fn off(sampled: &SampledModel, body: &Body, map: &dyn Fn(DVec3) -> DVec3) -> Vec<f64> {
     let moved = with_field(sampled, map, |field| carry_positions(field, &sampled.frame, &body.positions));
     let diagonal = sampled.bounds.diagonal();
     body.positions.iter().zip(&moved).map(|(p, q)| q.distance(map(*p)) / diagonal).collect()
 }
 
-/// The rms of what is off, and its 99.9th percentile.
+/// Root of the mean square of errors, and their 99.9th percentile.
 fn rms_and_p999(mut off: Vec<f64>) -> [f64; 2] {
     off.sort_by(f64::total_cmp);
     let n = off.len();
@@ -619,7 +618,7 @@ fn affine(p: DVec3) -> DVec3 {
 /// A deformation of space.
 type Map = fn(DVec3) -> DVec3;
 
-/// The estimate is of the size of the error: it ranks the clusters, and tells the largest error in each
+/// The expected error is of the size of the error: it ranks the clusters, and tells the largest error in each
 /// within a factor.
 #[test]
 fn expected_errors_are_of_the_size_of_errors() {
@@ -673,7 +672,7 @@ fn auto(
     })
 }
 
-/// As many samples more help much more where the deformation needs them.
+/// The same number of new samples helps much more where the deformation needs them.
 #[test]
 fn samples_come_where_the_deformation_needs_them() {
     let body = Body::new(200_000).without_faces();
@@ -700,7 +699,7 @@ fn samples_come_where_the_deformation_needs_them() {
     );
     assert!(needed[0] * 5.0 < uniform[0] && needed[1] * 5.0 < uniform[1], "{needed:?}, {uniform:?}");
 
-    // With fewer samples, those for the worst places.
+    // A smaller number of samples goes to the worst places.
     let few = Finer::Auto { error: 1e-5, samples: Some(200) };
     let few = auto(&sampled, model.as_ref(), &bump, few, &everywhere).unwrap();
     assert!(few.added > 50 && few.added <= 200, "{}", few.added);
@@ -730,7 +729,7 @@ fn what_needs_nothing_is_not_refined_and_nonsense_is_refused() {
             assert!(need.samples == 0 && need.expected < error, "{need:?}");
         }
     }
-    // Where nothing has moved yet.
+    // A deformation that has not moved anything yet needs no samples.
     let done = refined(&sampled, model.as_ref(), Finer::Auto { error: 1e-5, samples: None }, &everywhere);
     assert_eq!(done.unwrap().need.unwrap().samples, 0);
     for (error, samples) in [(0.0, None), (f64::NAN, None), (-1.0, Some(5)), (1e-5, Some(0))] {

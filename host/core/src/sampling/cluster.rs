@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::least_eigenvalue;
 
-/// What a VS-Tree is built of: vertices of P_L, or small groups of them.
+/// Element of a VS-Tree: a vertex of P_L, or a small group of vertices.
 pub trait Element: bytemuck::Pod + Send + Sync {
     /// Mean position, in local coordinates.
     fn position(&self) -> Vec3;
@@ -60,7 +60,8 @@ impl Element for Vertex {
     }
 
     fn add_to(vertices: &[Self], moments: &mut Moments) {
-        // In single precision about one of them, which is exact enough for so many, and much faster.
+        // Sums are in single precision about one of the vertices, which is exact enough for so many, and much
+        // faster.
         for vertices in vertices.chunks(VERTICES_AT_ONCE) {
             let mut sums = VertexSums::about(vertices[0].position);
             let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
@@ -110,13 +111,13 @@ impl VertexSums {
     }
 }
 
-/// A few vertices that lie close together, as the sums over them: what an open cell keeps of a model with
-/// very many vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that
-/// no group is parted.
+/// Sums over a few vertices that lie close together, which an open cell keeps of a model with very many
+/// vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that no group
+/// is parted.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Group {
-    /// What the positions are relative to: the middle of a cube that holds them all.
+    /// Origin of the positions: the middle of a cube that holds them all.
     center: Vec3,
     /// Half of that cube's edge.
     half: f32,
@@ -130,7 +131,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// Most vertices in a group: the sums are in single precision.
+    /// Largest number of vertices in a group: the sums are in single precision.
     const MAX: u32 = 1 << 16;
 
     /// A group of none yet, in a cube, of this place in its cell.
@@ -161,7 +162,8 @@ impl Group {
         self.quadric_b = sums.quadric_b.into();
     }
 
-    /// Whether the vertices of another group of the same cube belong here: they are not of an opposite sheet.
+    /// Whether the vertices of another group of the same cube belong to this group: they are not of an
+    /// opposite sheet.
     #[inline]
     pub fn takes(&self, other: &Self) -> bool {
         self.count + other.count <= Self::MAX && self.normal.dot(other.normal) >= 0.0
@@ -179,7 +181,7 @@ impl Group {
         }
     }
 
-    /// This group, at another place in its cell.
+    /// Copy of this group at another place in its cell.
     pub fn with_index(&self, index: u32) -> Self {
         Self { index, ..*self }
     }
@@ -205,7 +207,8 @@ pub struct GroupSums {
 }
 
 impl GroupSums {
-    /// Whether a vertex with this normal belongs here, if its position does: it is not of an opposite sheet.
+    /// Whether a vertex with this normal belongs to this group, if its position does: it is not of an
+    /// opposite sheet.
     #[inline(always)]
     pub fn takes(&self, normal: Vec3) -> bool {
         self.count < Group::MAX && self.sums.normal.dot(normal.into()) >= 0.0
@@ -249,8 +252,8 @@ impl Element for Group {
     }
 }
 
-/// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the
-/// surface is flat and any geometric error is zero, for a deformation need not be flat there.
+/// Part of a cluster's extent that counts as error, whatever the cluster's shape: it bounds the spacing where
+/// the surface is flat and any geometric error is zero, for a deformation need not be flat there.
 ///
 /// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for, but for the little by
 /// which it moves to the surface in the end.
@@ -260,7 +263,7 @@ pub const REACH_WEIGHT: f64 = 0.08;
 /// surfaces more closely, but throw samples off surfaces with steep relief.
 const QUADRIC_RIDGE: f64 = 1e-3;
 
-/// Variance of the normals below which a surface is flat: they are stored to so many digits.
+/// Variance of the normals below which a surface is flat, due to the digits that normals are stored to.
 const FLAT: f64 = 1e-6;
 
 /// Additive moments of a cluster, about the model's origin.
@@ -287,7 +290,7 @@ pub struct Moments {
 pub struct Covariance {
     /// The matrix.
     pub matrix: DMat3,
-    /// The least eigenvalue, once it was asked for.
+    /// Least eigenvalue, once it was asked for.
     least: OnceCell<f64>,
 }
 
@@ -322,7 +325,7 @@ impl Moments {
         m
     }
 
-    /// Adds the sums over so many vertices; not the box.
+    /// Adds the sums over `count` vertices; not the box.
     fn add_sums(&mut self, sums: &VertexSums, count: f64) {
         let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
         let quadric = sums.quadric.map(|q| q.as_dvec3());
@@ -382,8 +385,8 @@ impl Moments {
         symmetric(self.quadric[0], self.quadric[1])
     }
 
-    /// How much the surface bends along each of two directions across the mean normal, as a part of the
-    /// greater of both: the root of the ratio of the normals' standard deviations, which is by how much a
+    /// Bending of the surface along each of two directions across the mean normal, as a part of the greater
+    /// of both: the root of the ratio of the normals' standard deviations, which is the factor by which a
     /// cluster has to be longer to deviate as much from its plane. 1 where it is flat.
     pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
         let count = self.with_normal.max(1.0);
@@ -406,8 +409,8 @@ impl Moments {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
     }
 
-    /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this
-    /// makes.
+    /// Representative of the cluster: position, unit normal (zero where unknown), and the error of standing
+    /// for the cluster.
     pub fn representative(&self) -> (Vec3, Vec3, f32) {
         self.representative_by(&self.covariance())
     }
@@ -419,7 +422,8 @@ impl Moments {
     }
 
     /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
-    /// tell; infinite where that is nothing, or the representative is not the mean, but what normals tell.
+    /// tell; infinite where they do not, as of three vertices or fewer, or where the representative is not
+    /// the mean, but placed by normals.
     pub fn variance_of_mean(&self, covariance: &Covariance) -> f32 {
         // A plane goes through three vertices.
         let free = self.count - 3.0;
@@ -455,7 +459,7 @@ impl Moments {
         shape + REACH_WEIGHT * self.reach(representative)
     }
 
-    /// What the error would be if the vertices were of two sheets with opposite normals.
+    /// Error of the cluster if its vertices were of two sheets with opposite normals.
     pub fn error_of_two_sheets(&self, representative: Vec3) -> f64 {
         std::f64::consts::SQRT_2.sqrt() * self.spread() + REACH_WEIGHT * self.reach(representative)
     }
@@ -567,7 +571,8 @@ mod tests {
             .collect();
         let m = Moments::from_elements(&corner);
         let (r, _, _) = m.representative();
-        // All the way from the mean but for what the ridge holds back, which is about its own strength.
+        // The way is all of that from the mean but for the part that the ridge holds back, which is about its
+        // own strength.
         let way = m.mean().distance(DVec3::ONE);
         assert!(way > 0.5 && f64::from(r.distance(Vec3::ONE)) < 4.0 * QUADRIC_RIDGE * way, "{r}");
     }

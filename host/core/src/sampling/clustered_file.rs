@@ -1,4 +1,5 @@
-//! The trees of some cells in a file: what a range of the stream, or a group of cells, leaves for the cut.
+//! Trees of some cells in a file, which clustering a range of the stream, or a group of cells, leaves for the
+//! cut.
 
 use std::ops::Range;
 use std::path::Path;
@@ -11,15 +12,15 @@ use super::vs_tree::VsTree;
 use crate::fingerprint::HashedPart;
 use crate::sealed::{seal, unsealed};
 
-/// What such a file begins with.
+/// First letters of a file of trees.
 const LETTERS: &[u8; 8] = b"simodtre";
 
 const VERSION: u32 = 2;
 
-/// No file is longer: of 10⁹ clusters.
+/// Most bytes of a file of trees: that of 10⁹ clusters.
 const LONGEST: u64 = 64 << 30;
 
-/// What a file holds.
+/// Content of a file of trees.
 ///
 /// Memory: 40 bytes for each of about 1.4 nodes per cluster, 250 for each cell, and the ranges of cells; as
 /// much again for the file.
@@ -27,18 +28,18 @@ const LONGEST: u64 = 64 << 30;
 pub struct ClusteredFile {
     /// The hash of the model, the options and the division, and of which range or group the file is.
     pub key: u128,
-    /// Whether groups found room; the cells are none if not.
+    /// Whether groups found room; if not, there are no cells.
     pub has_room: bool,
     /// Clusters below this bound were dropped.
     pub bound: f32,
     /// The cells in which the range begins and ends.
     pub ends: Option<[u32; 2]>,
-    /// How often the stream came into another cell.
+    /// Number of times that the stream came into another cell.
     pub jumps: u64,
-    /// What the range adds to the hash of all vertices.
+    /// Contribution of the range to the hash of all vertices.
     pub hashed: Option<HashedPart>,
     pub cells: Vec<CellOfFile>,
-    /// The hash of all this, once it was read: what belongs to these trees goes by it.
+    /// Hash of the content, once it was read: files that belong to these trees are keyed by it.
     #[serde(skip)]
     pub mark: u128,
 }
@@ -48,16 +49,16 @@ pub struct ClusteredFile {
 pub struct CellOfFile {
     /// The cell's place in the grid's list.
     pub cell: u32,
-    /// What the tree was built of: vertices, or groups of them.
+    /// Number of elements that the tree was built of: vertices, or groups of them.
     pub items: u32,
-    /// Where in the stream its vertices are.
+    /// Ranges of the stream with the cell's vertices.
     pub ranges: Vec<Range<u64>>,
     pub moments: Moments,
     pub tree: VsTree,
 }
 
 impl ClusteredFile {
-    /// One that says that groups found no room.
+    /// Content that says that groups found no room.
     pub fn without_room(key: u128) -> Self {
         Self {
             key,
@@ -89,7 +90,7 @@ impl ClusteredFile {
         Ok(file)
     }
 
-    /// What is written.
+    /// Bytes that are written to a file.
     ///
     /// # Errors
     /// Never, for what clustering makes.
@@ -98,12 +99,12 @@ impl ClusteredFile {
     }
 }
 
-/// The hash at the end of what is sealed.
+/// Hash at the end of sealed content.
 pub fn mark_of(sealed: &[u8]) -> u128 {
     sealed.last_chunk().map_or(0, |mark| u128::from_le_bytes(*mark))
 }
 
-/// An error about a file, and what to do.
+/// Error about a file, with advice.
 pub fn refused(path: &Path, what: &str) -> Error {
     Error::mismatch(format!("{} {what}", path.display()), "remove it, and do the unit again that writes it")
 }

@@ -1,5 +1,5 @@
 //! Pass 1 in parts: ranges of the vertices are counted by themselves, on any machine, each to a file; the
-//! files add up, in any order, to what one reading counts.
+//! files add up, in any order, to the counts of one reading.
 
 use std::ops::Range;
 use std::path::Path;
@@ -12,12 +12,12 @@ use super::grid::{CellKey, CellRecord, Grid, GridCounter};
 use super::opaque::Opaque;
 use crate::sealed::{seal, unsealed};
 
-/// What such a file begins with.
+/// First letters of a file of counts.
 const LETTERS: &[u8; 8] = b"simodcnt";
 
 const VERSION: u32 = 1;
 
-/// No file is longer: of 10⁸ cells.
+/// Most bytes of a file of counts: that of 10⁸ cells.
 const LONGEST: u64 = 8 << 30;
 
 /// The content of a file.
@@ -55,7 +55,7 @@ pub(super) fn count(
     Ok(true)
 }
 
-/// Adds the counts of some files up, which are of all vertices, to one that is as if they had been counted at
+/// Adds up the counts of some files, which are of all vertices, to one file as if they had been counted at
 /// once, unless it is there already.
 pub(super) fn merge(
     model: &dyn Model,
@@ -72,7 +72,7 @@ pub(super) fn merge(
     Ok(true)
 }
 
-/// Writes what was counted of a range.
+/// Writes the counts of a range.
 fn write(
     of: &CountKey,
     vertices: Range<u64>,
@@ -171,7 +171,7 @@ fn read(path: &Path) -> Result<CountFile> {
 pub(super) struct NonFinite {
     pub(super) count: u64,
     pub(super) first: Option<u64>,
-    /// Splats that are left out as well, and are not of them.
+    /// Number of splats that are left out as well, and are not among those.
     pub(super) transparent: u64,
 }
 

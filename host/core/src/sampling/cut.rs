@@ -5,9 +5,9 @@
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are
 //! kept down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above
-//! the cells counts as no better than what is below it, so the final cut splits all of them before it splits
-//! a cell's tree further, and more cells can only add clusters: the final bound is never below the running
-//! one, and what was dropped would not have been in the cut.
+//! the cells counts as no better than the nodes below it, so the final cut splits all of them before it
+//! splits a cell's tree further, and more cells can only add clusters: the final bound is never below the
+//! running one, and clusters that were dropped would not have been in the cut.
 //!
 //! With *foresight*, the first part of the model does not get all of the N clusters for a while, only to lose
 //! most of them again: of a part f of the vertices, √f times as many are kept, more than its share. Should
@@ -32,7 +32,7 @@ const KEEP_AT_MOST: f64 = 1.6;
 const PRUNE_TO: f64 = 1.2;
 
 /// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, of
-/// 40 bytes each; the sample itself; and what is kept of trees that are pruned one by one.
+/// 40 bytes each; the sample itself; and the rest of trees that are pruned one by one.
 pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The clusters of one finalized cell.
@@ -48,7 +48,7 @@ pub struct ClusteredCell {
 /// The trees of all cells seen so far.
 ///
 /// Memory: 40 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
-/// the target and what one cell has; and the moments of each occupied cell.
+/// the target and those of one cell; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
     /// Number of vertices of P_L, and the foresight; `None` without.
@@ -57,7 +57,7 @@ pub struct Forest {
     seen: f64,
     /// Running bound.
     threshold: f32,
-    /// Most leaves without a target.
+    /// Largest number of leaves without a target.
     most: usize,
     leaves: usize,
     /// Cells taken in.
@@ -66,9 +66,9 @@ pub struct Forest {
 }
 
 impl Forest {
-    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many.
-    /// With `foresight`, a part f of the vertices gets so many times √f of the clusters, and not more than
-    /// all.
+    /// Empty forest on a grid, for a target number of samples, or for a fixed bound and at most `most`
+    /// leaves. With `foresight`, a part f of the vertices gets this factor times √f of the clusters, and not
+    /// more than all.
     pub fn new(
         grid: &Grid,
         target: Option<usize>,
@@ -118,7 +118,7 @@ impl Forest {
         Ok(self.threshold)
     }
 
-    /// What is better than this bound was dropped from trees that are taken in.
+    /// Raises the bound below which clusters are dropped, where trees that are taken in have dropped more.
     pub fn raise(&mut self, bound: f32) {
         self.threshold = self.threshold.max(bound);
     }
@@ -142,7 +142,7 @@ impl Forest {
                 threshold_for(upper.splits().chain(trees.iter().flat_map(VsTree::splits)), 1, target)
             }
         };
-        // What it would split was dropped.
+        // A cut that goes on below dropped clusters cannot be found.
         if threshold < self.threshold {
             return None;
         }
@@ -168,7 +168,7 @@ impl Forest {
                     cut.push_merged(node, *sample.get_or_insert(next), first_leaf);
                 }
             }
-            // Beyond 2^32 vertices nobody asks for it.
+            // Leaves beyond 2^32 vertices are not asked for.
             first_leaf = first_leaf.wrapping_add(record.count as u32);
         }
         Some(cut)
@@ -186,15 +186,16 @@ pub struct Cut {
     pub variances: Vec<f32>,
     /// The tree of each cell.
     pub trees: Vec<CutTree>,
-    /// Ascending: from this leaf on (all cells' leaves are counted in one row, in which each cell has as many
-    /// places as samples), up to that of the next entry, leaves belong to this sample.
+    /// Pairs of a leaf and a sample, ascending: from this leaf on (all cells' leaves are counted in one row,
+    /// in which each cell has as many places as samples), up to that of the next entry, leaves belong to this
+    /// sample.
     pub starts: Vec<(u32, u32)>,
     /// Position and normal of each node of the trees that has others below it, one tree after the other.
     inner: Vec<(Vec3, Vec3)>,
 }
 
 impl Cut {
-    /// Whether its parts fit together: what was read may be anything.
+    /// Whether the parts of the cut fit together: one that was read from a file may be damaged.
     pub fn is_sound(&self) -> bool {
         let samples = self.samples();
         let inner = |tree: &CutTree| tree.children.iter().filter(|children| **children > 0).count();
@@ -231,9 +232,9 @@ impl Cut {
         threshold_for(splits(), roots, target.max(least)).min(f32::MAX)
     }
 
-    /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
-    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each
-    /// sample. What is above the cells stays as it is.
+    /// Cut through the same trees of at most `target` samples, if there are no fewer trees, and those that
+    /// shall `stay`, with half of all others, are not more; and for each sample of this cut the one of the
+    /// new cut that has its clusters. The nodes above the cells stay as they are.
     pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
         let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
         let threshold = self.coarser_threshold(&errors, target);
@@ -254,7 +255,7 @@ impl Cut {
                     new.children.push(if splits { *children } else { 0 });
                     new.errors.push(tree.errors[i]);
                     if !splits {
-                        // A sample of several cells is there from the first of them on.
+                        // A sample of several cells is in the new cut from the first of them on.
                         let sample = leaf.and_then(|(sample, _)| sample).map(|sample| *sample as usize);
                         let known = sample.map(|sample| becomes[sample]).filter(|to| *to != u32::MAX);
                         let to = known.unwrap_or(coarser.samples() as u32);
@@ -274,7 +275,7 @@ impl Cut {
                 }
                 if let (Some((Some(sample), start)), Some(to)) = (leaf, new.samples.last()) {
                     becomes[*sample as usize] = *to;
-                    // From the first of its leaves on.
+                    // A sample's entry is that of the first of its leaves.
                     let goes_on = coarser.starts.last().is_some_and(|last| last.1 == *to);
                     coarser.starts.extend(start.filter(|_| !goes_on).map(|start| (start.0, *to)));
                 }
@@ -324,7 +325,7 @@ fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
     }
     let mut samples = tree.samples.iter();
     let stays = tree.children.iter().map(|n| *n == 0 && samples.next().is_some_and(|sample| stay(*sample)));
-    // How many stay before each node, and at last how many there are.
+    // Number of samples that stay before each node, and at last the number of all that stay.
     let mut before = vec![0u32];
     before.extend(stays.scan(0, |sum, stays| {
         *sum += u32::from(stays);
@@ -334,8 +335,8 @@ fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
     nodes.map(|(i, (error, end))| if before[end] > before[i] { f32::INFINITY } else { *error }).collect()
 }
 
-/// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound,
-/// if it does not yet.
+/// Distance that each of the samples from `first` on may move without the error of its cluster exceeding a
+/// bound; infinite for samples whose error exceeds the bound already.
 pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>, bound: f32) -> Vec<f32> {
     let mut slack = vec![f32::INFINITY; samples.len()];
     for (sample, error) in trees.flat_map(CutTree::errors_of_samples) {
@@ -357,18 +358,18 @@ pub fn errors<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: usize) -> V
     errors
 }
 
-/// Clusters beyond one per tree that are kept for a target, until they are pruned.
+/// Largest number of clusters beyond one per tree that are kept for a target, until they are pruned.
 pub fn most_kept(target: usize) -> usize {
     (KEEP_AT_MOST * target.max(1024) as f64) as usize
 }
 
-/// A bound that no cut of so many samples through these trees, and any others, is below.
+/// Lower bound of the error bound of any cut of `target` samples through these trees, and others.
 pub fn running_bound<'a>(trees: impl Iterator<Item = &'a VsTree>, target: usize) -> f32 {
     threshold_for(trees.flat_map(VsTree::splits), 0, (PRUNE_TO * target.max(1024) as f64) as usize)
 }
 
-/// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their
-/// key and how many clusters the split adds) and the number of roots.
+/// Least bound at which a cut has at most `target` clusters, given the clusters that can be split (their key
+/// and the number of clusters that the split adds) and the number of roots.
 pub fn threshold_for(splits: impl Iterator<Item = (f32, u32)>, roots: usize, target: usize) -> f32 {
     let mut splits: Vec<_> = splits.collect();
     splits.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
@@ -390,7 +391,7 @@ struct Upper {
 
 struct UpperNode {
     moments: Moments,
-    /// Own error or that of a node below, whichever is greater.
+    /// Error of the node or of a node below, whichever is greater.
     error: f32,
     /// The first cell below, in the order of the stream.
     first: u32,
@@ -447,7 +448,8 @@ impl Upper {
         above.map(|node| (node.error, node.children.len() as u32 - 1))
     }
 
-    /// What the cut at `threshold` merges above the cells: the cells, and what stands for them.
+    /// Gives `emit` each merged node of the cut at `threshold` above the cells: the cells, and their
+    /// representative.
     fn cut(&self, threshold: f32, mut emit: impl FnMut(&[u32], Node)) {
         let top = self.levels.len() - 1;
         let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i)).collect();
@@ -529,7 +531,8 @@ mod tests {
         forest.cut(&grid)
     }
 
-    /// All samples are the leaves of the trees, and each has leaves of its own; their number.
+    /// Checks that all samples are leaves of the trees, and that each has leaves of its own; returns their
+    /// number.
     fn check(cut: &Cut) -> usize {
         let mut seen = vec![0; cut.samples()];
         for tree in &cut.trees {
@@ -569,7 +572,7 @@ mod tests {
             for (leaf, sample) in &finer.starts {
                 assert_eq!(at(&coarser, *leaf), becomes[*sample as usize]);
             }
-            // Where nothing merges above the cells, it is the very same.
+            // Cuts of which nothing merges above the cells are the very same.
             if resolution == 2 {
                 let same = sampled(Some(1700), 0.0, resolution);
                 assert!(coarser.positions == same.positions && coarser.trees == same.trees);

@@ -1,7 +1,7 @@
-//! Samples of clouds on the surface. A mean of vertices lies on the inner side of what bends: P_S is the
-//! surface, smoothed. One step of deconvolution undoes that (P. van Cittert, *Zum Einfluß der Spaltbreite auf
-//! die Intensitätsverteilung in Spektrallinien II*, 1931): each sample moves across the surface by a part of
-//! its height over its neighbours.
+//! Samples of clouds on the surface. A mean of vertices lies on the inner side of a surface that bends: P_S
+//! is the surface, smoothed. One step of deconvolution undoes that (P. van Cittert, *Zum Einfluß der
+//! Spaltbreite auf die Intensitätsverteilung in Spektrallinien II*, 1931): each sample moves across the
+//! surface by a part of its height over its neighbours.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -13,23 +13,24 @@ use super::normals::NEIGHBOURS;
 
 /// Part of its height over its neighbours by which the mean of a cell is off the surface: the mean squared
 /// distance from the middle of a hexagonal cell, as a part of that of its neighbours. At 7/18 the triangles
-/// between samples would be nearest to the vertices, but what deformations are carried by is on the surface.
+/// between samples would be nearest to the vertices, but samples that carry deformations are to be on the
+/// surface.
 const STEP: f64 = 5.0 / 36.0;
 
-/// So many neighbours that are of two sheets by themselves do not come about by chance.
+/// Number of neighbours of two sheets by themselves that does not come about by chance.
 const FEW_OF_TWO: usize = 3;
 
-/// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
-/// the surface as well, so that their means scatter more than their vertices tell.
+/// Number of standard errors below which heights are noise: clusters of noisy vertices are split across the
+/// surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
 
-/// Samples on the surface, and what was found on the way.
+/// Samples on the surface, and the neighbours and directions that were found on the way.
 pub struct Deconvolved {
-    /// Where they are, in local coordinates.
+    /// Positions of the samples on the surface, in local coordinates.
     pub positions: Vec<Vec3>,
-    /// The [`NEIGHBOURS`] of each where it was.
+    /// The [`NEIGHBOURS`] of each sample at its former position.
     pub graph: NeighbourGraph,
-    /// The direction of least variance of each and these; of unit length.
+    /// Direction of least variance of each sample with its neighbours; of unit length.
     pub across: Vec<Vec3>,
 }
 
@@ -37,8 +38,8 @@ pub struct Deconvolved {
 /// means across their clusters' planes, as far as the vertices tell; a sample of which this is not known
 /// (infinite) stays, and none moves farther than `most`.
 ///
-/// Nothing moves on a plane, nor where neighbours are all on one side, are no surface or two of them, nor
-/// where what vertices scatter by explains the heights.
+/// Samples on a plane do not move, nor those whose neighbours are all on one side, are no surface or two of
+/// them, nor those whose heights are explained by the scatter of the vertices.
 ///
 /// Memory: 72 bytes per sample, 32 more meanwhile, and the samples' tree.
 pub fn deconvolved(
@@ -53,7 +54,7 @@ pub fn deconvolved(
     let heights = heights(positions, &graph);
     let moved = |i: usize| {
         let is_of_two = |j: &&u32| heights[**j as usize].is_of_two;
-        // Of two sheets, most samples know it.
+        // Most samples know that they are of two sheets, where there are two.
         let beside = graph.nearest_to(i).iter().filter(is_of_two).count();
         if !variances[i].is_finite() || heights[i].variance == 0.0 || beside >= FEW_OF_TWO {
             return positions[i];
@@ -68,8 +69,8 @@ pub fn deconvolved(
     Some(Deconvolved { positions: moved, graph, across })
 }
 
-/// How much of the heights of a sample and its neighbours is no noise: nothing, where they are no more than
-/// [`STANDARD_ERRORS`].
+/// Part of the heights of a sample and its neighbours that is no noise: zero, where they are no more than
+/// [`STANDARD_ERRORS`] times the noise.
 fn significance(heights: &[Height], variances: &[f32], i: usize, neighbours: &[u32]) -> f64 {
     let (mut squares, mut noise) = (0.0, 0.0);
     for j in neighbours.iter().map(|j| *j as usize).chain([i]) {
@@ -126,12 +127,12 @@ mod tests {
             let (s, c) = (golden * i as f32).sin_cos();
             Vec3::new(c * (1.0 - z * z).sqrt(), s * (1.0 - z * z).sqrt(), z)
         };
-        // What a cell of this area has for its mean: half of its mean squared distance below.
+        // Distance of the mean of a cell of this area below the surface: half of its mean squared distance.
         let below = 0.5 * 4.0 * std::f32::consts::PI / SAMPLES as f32 / (2.0 * std::f32::consts::PI);
         let means: Vec<Vec3> = (0..SAMPLES).map(|i| direction(i) * (1.0 - below)).collect();
         let off = rms(moved(&means, 0.0).into_iter().map(|p| p.length() - 1.0));
         assert!(off < 0.2 * below, "{off} of {below}");
-        // And no farther than they may.
+        // Samples move no farther than they may.
         let held = held(&means, 0.0, 0.25 * below);
         assert!(held.iter().zip(&means).all(|(p, q)| p.distance(*q) < 0.26 * below));
     }
@@ -145,7 +146,7 @@ mod tests {
         let noisy = sheet(|_, _, i| 0.1 * random(i, 3));
         assert_eq!(moved(&noisy, 0.01 / 12.0), noisy);
         assert!(moved(&noisy, 0.0) != noisy);
-        // What stands out of noise moves all the same.
+        // Heights that stand out of noise are taken off all the same.
         let bowl = sheet(|x, y, _| 0.01 * (x * x + y * y));
         let (all, part) = (moved(&bowl, 0.0), moved(&bowl, 1e-8));
         let is_much = |((p, q), all): ((&Vec3, &Vec3), &Vec3)| p.distance(*q) >= 0.9 * p.distance(*all);
@@ -159,16 +160,16 @@ mod tests {
         for (i, (p, q)) in bowl.iter().zip(&moved).enumerate() {
             let (column, row) = (i % SIDE, i / SIDE);
             let from_border = column.min(row).min(SIDE - 1 - column).min(SIDE - 1 - row);
-            // As a part of 5/36 of κh²/2, though places are about one apart, and the bowl is steep.
+            // Height as a part of 5/36 of κh²/2, though places are about one apart, and the bowl is steep.
             let outwards = Vec3::new(0.02 * p.x, 0.02 * p.y, -1.0).normalize_or(Vec3::Z);
             let part = (*q - *p).dot(outwards) / (0.01 * STEP as f32);
-            // Where neighbours are on one side, the plane through them tells less.
+            // The plane through neighbours that are all on one side tells less.
             let expected = if from_border == 0 { -1e-3..4.0 } else { 0.3..1.8 };
             assert!(expected.contains(&part), "{i}: {part}");
         }
     }
 
-    /// Places of one of two sheets that bend alike stand out of those of the other by what is between.
+    /// Places of one of two sheets that bend alike stand out of those of the other by their distance.
     #[test]
     fn sheets_that_lie_one_above_the_other_stay_apart() {
         for gap in [0.1, 0.2, 0.4] {
@@ -183,7 +184,7 @@ mod tests {
 
     #[test]
     fn what_tells_nothing_stays() {
-        // A ball, places that all are one, and too few of them.
+        // A ball, places that all are one, and too few places are no surface.
         let ball: Vec<Vec3> = (0..500).map(|i| Vec3::from([1, 2, 3].map(|axis| random(i, axis)))).collect();
         let same = ball.iter().zip(moved(&ball, 0.0)).filter(|(p, q)| **p == *q).count();
         assert!(same > 400, "{same}");

@@ -1,4 +1,4 @@
-//! What samples are spread by: how much the error of a cluster counts, where vertices are dense or the
+//! Measure by which samples are spread: the weight of a cluster's error, where vertices are dense or the
 //! surface is flat.
 
 use glam::Vec3;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::cluster::{Moments, REACH_WEIGHT};
 use super::splitting::Splitting;
 
-/// What samples are spread by.
+/// Measure by which samples are spread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum By {
@@ -27,7 +27,7 @@ impl By {
     /// The choices that there are.
     pub const ALL: [Self; 3] = [Self::Error, Self::Area, Self::Vertices];
 
-    /// Whether it is the default, which files do not mention.
+    /// Whether the measure is the default, which files do not mention.
     pub(crate) fn is_error(&self) -> bool {
         *self == Self::Error
     }
@@ -42,7 +42,7 @@ impl By {
     }
 }
 
-/// The rule by which clusters are split, and which of them first.
+/// Rule by which clusters are split, and in which order.
 #[derive(Debug, Clone, Copy)]
 pub struct SplitRule {
     pub splitting: Splitting,
@@ -60,21 +60,21 @@ impl From<Splitting> for SplitRule {
 /// Cells that a surface meets, for as many as its area has.
 const CELLS: f64 = 2.0;
 
-/// How much more an error counts at most.
+/// Largest factor by which an error counts for more.
 const MOST: f64 = 1e4;
 
 /// Area of a square over the mean square distance to its middle.
 const AREA: f64 = 6.0;
 
 impl SplitRule {
-    /// For a model of so many finite vertices in so many cells of this edge (local units).
+    /// Rule for a model of `vertices` finite vertices in `cells` cells of this edge (local units).
     pub fn new(splitting: Splitting, by: By, vertices: u64, cells: u64, edge: f64) -> Self {
         let area = cells as f64 * edge * edge / CELLS;
         Self { splitting, by, density: vertices as f64 / area.max(f64::MIN_POSITIVE) }
     }
 
-    /// What a cluster is split by, given its representative and error; no less than [`REACH_WEIGHT`] times
-    /// its reach.
+    /// Key by which a cluster is split, given its representative and error: its weighted error, no less than
+    /// [`REACH_WEIGHT`] times its reach.
     pub fn key(&self, moments: &Moments, position: Vec3, error: f32) -> f64 {
         let error = f64::from(error);
         match self.by {
@@ -83,7 +83,7 @@ impl SplitRule {
             By::Vertices if error > 0.0 => {
                 let area = AREA * moments.spread().powi(2);
                 let nearer = (moments.count() / (area * self.density)).sqrt();
-                // Where there is no area, vertices are as near as can be.
+                // A cluster without an area has vertices as near as can be.
                 error * nearer.clamp(1.0, MOST)
             }
             _ => 0.0,

@@ -2,9 +2,9 @@
 //! files. The samples are those of [`sample`](super::sample), to the byte, for any number of ranges.
 //!
 //! A range clusters the cells that lie wholly within, and writes down its vertices of the others
-//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. What a
-//! piece of the stream is, which groups of vertices there are, and whether there are any, follows from the
-//! counts and the cell alone, and not from what else is open.
+//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. The
+//! division of the stream into pieces, the groups of vertices, and whether there are any, follow from the
+//! counts and the cell alone, and not from the other cells that are open.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -25,15 +25,14 @@ use super::{ClusteredStream, Sampling, SamplingPass, are_told, can_tell, counted
 use crate::fingerprint::BlockHash;
 use crate::sampled_model::SampledModel;
 
-/// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
-/// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too
-/// rich is seen in the end alone.
+/// Factor of √f in the share of the samples that a part f of the vertices may have: more than for a part of
+/// the stream on one machine, as parts are fewer, and one that is too rich is seen in the end alone.
 const FORESIGHT: f64 = 2.0;
 
-/// No file of counts is longer.
+/// Most bytes of a file of counts.
 const LONGEST_COUNTS: u64 = 8 << 30;
 
-/// How pass 2 is divided.
+/// Division of pass 2 into units.
 #[derive(Debug, Clone, Copy)]
 pub struct UnitDivision<'a> {
     /// The counts of all vertices, in one file: see [`merge_counts`].
@@ -42,12 +41,12 @@ pub struct UnitDivision<'a> {
     pub units: u64,
 }
 
-/// Number of ranges that a model is divided into, if there are to be so many.
+/// Number of ranges that a model is divided into, if there are to be `units`.
 pub fn ranges_of(model: &dyn Model, units: u64) -> u64 {
     ranges(model.info().vertices, units).len() as u64
 }
 
-/// Why pass 2 of a model cannot be divided, if it cannot.
+/// Reason why pass 2 of a model cannot be divided; `None` if it can.
 ///
 /// # Errors
 /// The vertices cannot be read, some of which may be compared with faces.
@@ -78,7 +77,7 @@ pub fn reads_faces(model: &dyn Model, sampling: &Sampling) -> Result<bool> {
     Ok(can_tell(model.info()) && are_told(sampling.placement.resolve(model)?, &sampling.skip))
 }
 
-/// Most bytes that ranges write down of cells that they share, which is where vertices come in no order.
+/// Largest number of bytes that ranges write down of cells that they share: that of vertices in no order.
 pub fn exchanged_at_most(model: &dyn Model) -> u64 {
     let info = model.info();
     shared_vertices::bytes_at_most(info.vertices, info.has_normals)
@@ -137,7 +136,7 @@ impl<'a> Divided<'a> {
         self.key
     }
 
-    /// The key of what an owner leaves.
+    /// Key of the files that an owner leaves.
     pub(super) fn key_of(&self, owner: Owner) -> u128 {
         let (kind, number) = match owner {
             Owner::Range(number) => (1, number),
@@ -155,8 +154,8 @@ impl<'a> Divided<'a> {
         })
     }
 
-    /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each
-    /// vertex is in, if that shall be known. `false` if another process has left that meanwhile: its trees
+    /// Leaves for the cut the clusters, or the fact that groups found no room; and before that, the leaf of
+    /// each vertex, if that is wanted. `false` if another process has left these files meanwhile: its trees
     /// are as good but not these, and what others have made of them already would not fit these.
     fn leave(
         &self,
@@ -188,7 +187,7 @@ impl<'a> Divided<'a> {
         if let Some(members) = membership {
             self.leave_members(owner, members, leaves, leaves_key(mark_of(&sealed)))?;
         }
-        // In the end, as it tells that all is there.
+        // The trees are written in the end, as their file tells that all is there.
         output::write_file(trees, &sealed)?;
         Ok(true)
     }
@@ -210,7 +209,7 @@ impl<'a> Divided<'a> {
         writer.commit()
     }
 
-    /// Whether an owner has left all that it leaves.
+    /// Whether an owner has left all files that it has to.
     fn is_left(&self, owner: Owner, (trees, leaves): (&Path, &Path)) -> bool {
         let file = ClusteredFile::read(trees, self.key_of(owner));
         file.is_ok_and(|file| {
@@ -219,14 +218,14 @@ impl<'a> Divided<'a> {
     }
 }
 
-/// The key of the leaves that belong to trees: how deep these were built, and so which leaves they have,
-/// depends on what was clustered meanwhile.
+/// Key of the leaves that belong to trees: the depth of these, and so their leaves, depends on the clusters
+/// found meanwhile.
 pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
     mark_of_trees ^ 3 << 32
 }
 
-/// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or
-/// 24 with normals, and some 5 to 14 for each visit to a cell.
+/// Number of vertices in cells that ranges share: the ranges write these down for each other, of 12 bytes
+/// each, or 24 with normals, and some 5 to 14 for each visit to a cell.
 ///
 /// # Errors
 /// The counts cannot be read, or are of something else.
@@ -282,7 +281,7 @@ pub fn cluster(
 /// group's vertices.
 ///
 /// # Errors
-/// As of [`cluster`]; what a range has written is missing or damaged.
+/// As of [`cluster`]; a file that a range has written is missing or damaged.
 pub fn cluster_shared(
     model: &dyn Model,
     sampling: &Sampling,
@@ -340,10 +339,10 @@ pub fn sample_clustered(
     }
 }
 
-/// Why parts are of no use, and whether there are groups then.
+/// Reason why the files of parts are of no use, and the grouping of vertices to sample with instead.
 pub(super) type Useless = (&'static str, Grouping);
 
-/// What the ranges tell of the stream, put together in their order.
+/// Hash and jumps of the stream, put together of the ranges in their order.
 #[derive(Default)]
 struct InOrder {
     hash: BlockHash,
@@ -351,7 +350,7 @@ struct InOrder {
 }
 
 impl InOrder {
-    /// Takes the next range; whether it is that.
+    /// Takes the next range; `false` if it does not follow on those before.
     fn goes_on_with(&mut self, file: &ClusteredFile) -> bool {
         if !file.hashed.as_ref().is_some_and(|part| self.hash.append(part)) {
             return false;
@@ -372,7 +371,7 @@ impl Divided<'_> {
         owners(Owner::Range).zip(of_ranges).chain(owners(Owner::Group).zip(of_groups)).collect()
     }
 
-    /// What pass 2 has found, by the files of all parts, and the [marks](ClusteredFile::mark) of these.
+    /// Findings of pass 2, from the files of all parts, and the [marks](ClusteredFile::mark) of these.
     pub(super) fn cut(
         &self,
         files: &[(Owner, &PathBuf)],

@@ -1,14 +1,14 @@
-//! What the faces tell of P_S, by units of work: which sample each vertex of a range belongs to, what a range
-//! of the faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
+//! Sampling by faces in units of work: the sample of each vertex of a range, the findings in a range of the
+//! faces, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
 //!
 //! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its
 //!   own.
-//! - Where a range of the faces begins is a matter of arithmetic, or was found by a reading of all faces
+//! - The start of a range of the faces is a matter of arithmetic, or was found by a reading of all faces
 //!   (`face_runs`).
-//! - A range of the faces reads of the vertices those between the least and the greatest corner. What it
-//!   finds in its faces are sets (triangles, islands and what joins them), lists in the order of the file
-//!   (where faces are), and sums of runs of faces that do not depend on the ranges (planes).
-//! - What hangs together are the connected parts of what ranges found to, each known by its first vertex.
+//! - A range of the faces reads of the vertices those between the least and the greatest corner. The findings
+//!   in its faces are sets (triangles, islands and what joins them), lists in the order of the file (offsets
+//!   of faces), and sums of runs of faces that do not depend on the ranges (planes).
+//! - Islands are the connected parts of those that ranges found, each known by its first vertex.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -44,13 +44,13 @@ use crate::sampled_model::SampledModel;
 use crate::sealed::{seal, unsealed};
 use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 
-/// What the file of a cut begins with.
+/// First letters of the file of a cut.
 const LETTERS: &[u8; 8] = b"simodcut";
 
-/// Version of what units leave each other to know of the faces, all of which is bound to a cut.
+/// Version of the files on faces that units leave each other, all of which are bound to a cut.
 const VERSION: u32 = 3;
 
-/// No file of a cut is longer: of 2³² samples.
+/// Most bytes of the file of a cut: that of 2³² samples.
 const LONGEST: u64 = 1 << 40;
 
 /// No sample.
@@ -61,10 +61,10 @@ const COPIED: usize = 1 << 16;
 
 const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --place vertices";
 
-/// Where units leave each other what it takes to know of the faces.
+/// Files on the faces that units leave each other.
 #[derive(Debug, Clone, Copy)]
 pub struct FaceFiles<'a> {
-    /// Where runs of faces begin, if they [had to be found](have_to_be_found).
+    /// File with the starts of runs of faces, if they [had to be found](have_to_be_found).
     pub runs: &'a Path,
     /// The cut through all trees.
     pub cut: &'a Path,
@@ -74,16 +74,16 @@ pub struct FaceFiles<'a> {
     pub leaves_of_groups: &'a [PathBuf],
     /// The samples of the vertices of each range.
     pub members: &'a [PathBuf],
-    /// What each range of the faces tells.
+    /// Files with the findings in each range of the faces.
     pub faces: &'a [PathBuf],
 }
 
-/// What a cut through all trees leaves.
+/// Content of the file of a cut through all trees.
 #[derive(Serialize, Deserialize)]
 struct CutFile {
     /// The division's key.
     key: u128,
-    /// Why one unit has to sample the model by itself, if so.
+    /// Reason why one unit has to sample the model by itself, if there is one.
     alone: Option<String>,
     /// The level of groups of vertices, if there are any.
     level: Option<u32>,
@@ -97,14 +97,13 @@ struct CutFile {
     mark: u128,
 }
 
-/// Number of ranges that a model's faces are divided into, if there are to be so many.
+/// Number of ranges that a model's faces are divided into, if there are to be `units`.
 pub fn face_ranges_of(model: &dyn Model, units: u64) -> u64 {
     units.clamp(1, model.info().faces.div_ceil(FACES_OF_A_SUM).max(1))
 }
 
-/// Most bytes that units write down for each other to know the faces, besides what they do for clusters:
-/// which it comes to where neither vertices nor faces come in any order. They are none where faces have no
-/// say.
+/// Largest number of bytes that units write down for each other on the faces, besides those for clusters:
+/// that where neither vertices nor faces come in any order. 0 where faces have no say.
 ///
 /// # Errors
 /// As of [`reads_faces`].
@@ -122,7 +121,7 @@ pub fn faces_exchanged_at_most(model: &dyn Model, sampling: &Sampling) -> Result
         Target::Error(_) => corners_of_a_sum,
     };
     let of_a_sum = (LISTED * size_of::<u32>()) as u64 * samples;
-    // Each makes one island of two, twice at most, and is in three cells at most.
+    // A triangle makes one island of two, twice at most, and is in three cells at most.
     let islands = if sampling.skip.sheets { 0 } else { 16 };
     let ranges = if sampling.skip.triangles || sampling.skip.cells { 0 } else { 60 };
     let triangles = most_triangles(model);
@@ -131,13 +130,14 @@ pub fn faces_exchanged_at_most(model: &dyn Model, sampling: &Sampling) -> Result
     Ok(info.vertices.saturating_mul(of_vertices).saturating_add(of_faces).saturating_add(of_sums))
 }
 
-/// Most triangles that the faces of a model can be.
+/// Largest number of triangles that the faces of a model can be.
 fn most_triangles(model: &dyn Model) -> u64 {
     let info = model.info();
     if !have_to_be_found(model) {
         return info.faces;
     }
-    // Each takes a corner at least, of as many bytes as it takes to tell all vertices of its file apart.
+    // A triangle takes a corner at least, of as many bytes as it takes to tell all vertices of its file
+    // apart.
     let least = model.tiles().iter().map(|tile| tile.vertices).min().unwrap_or(info.vertices);
     let bytes = if least > 1 << 16 { 4 } else { 1 };
     info.face_bytes / bytes
@@ -145,7 +145,7 @@ fn most_triangles(model: &dyn Model) -> u64 {
 
 /// Cuts the trees of all ranges and groups, each in one of some files, to a file. Nothing is done if it is
 /// there already; `false` then. Where parts have kept too little, as for
-/// [`sample_clustered`](super::divided::sample_clustered), that is what it says.
+/// [`sample_clustered`](super::divided::sample_clustered), the file says so.
 ///
 /// Memory: that of [`sample`](super::sample) without vertices, and a file; twice its own.
 ///
@@ -193,9 +193,9 @@ pub fn cut(
     Ok(true)
 }
 
-/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is
-/// worth knowing, for which up to a million vertices before the range are read as well. Nothing is done if it
-/// is there already; `false` then.
+/// Finds the sample of each vertex of a range, to a file; and the vertices that are at one place, if these
+/// are worth knowing, for which up to a million vertices before the range are read as well. Nothing is done
+/// if it is there already; `false` then.
 ///
 /// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for
 /// each group; 4 MiB and a chunk of vertices, if these are read.
@@ -236,12 +236,12 @@ pub fn members(
     Ok(true)
 }
 
-/// The owners of the cells of leaves, of which those of a cell mostly follow each other.
+/// Owners of the cells of leaves; the leaves of a cell mostly follow each other.
 struct LeafOwners<'a> {
     shares: &'a Shares,
     /// The first leaf of each cell.
     starts: Vec<u32>,
-    /// The leaves of the cell at hand, and who clustered it.
+    /// Leaves of the cell at hand, and the owner that clustered it.
     leaves: Range<u32>,
     owner: Owner,
 }
@@ -260,17 +260,18 @@ impl LeafOwners<'_> {
     }
 }
 
-/// The lists in a file of what is known of the vertices of a range.
+/// Lists in a file on the vertices of a range.
 mod member {
     /// The samples of the vertices.
     pub const SAMPLES: usize = 0;
-    /// How far before each one at the same position is, or 0: where such are worth looking for.
+    /// Distance of each vertex behind an earlier one at the same position, or 0, in a model in which these
+    /// are worth looking for.
     pub const TWINS: usize = 1;
     pub const COUNT: usize = 2;
 }
 
 impl Divided<'_> {
-    /// Whether it is of use to know which vertices are at one place.
+    /// Whether vertices at the same position are worth looking for.
     fn looks_for_twins(&self) -> bool {
         let SamplingPass { model, sampling, .. } = &self.prepared;
         !sampling.skip.sheets && twins_may_be_there(model.info().vertices, model.info().faces)
@@ -370,25 +371,25 @@ impl CutFile {
     }
 }
 
-/// The lists in a file of what faces tell.
+/// Lists in a file on a range of the faces.
 mod list {
-    /// Triangles in numbers: how many lack a vertex (lower and upper half), whether they are of vertices,
-    /// whether tangled.
+    /// Counts of the triangles: the number that lack a vertex (lower and upper half), whether they are of
+    /// vertices, whether tangled.
     pub const HEAD: usize = 0;
     /// Three corners each.
     pub const TRIANGLES: usize = 1;
-    /// Where faces of a cell are: the cell, and the lower and the upper halves of the first byte and the end.
+    /// Ranges of a cell's faces: the cell, and the lower and the upper halves of the first byte and the end.
     pub const RANGES: usize = 2;
     pub const PLANES: usize = 3;
     /// A vertex, and the first one of its island.
     pub const ISLANDS: usize = 4;
-    /// Two of different clusters that a face joins.
+    /// Two vertices of different clusters that a face joins.
     pub const LINKS: usize = 5;
     pub const COUNT: usize = 6;
 }
 
-/// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if
-/// it is there already; `false` then.
+/// Finds triangles, islands, ranges and planes in a range of the faces, of so many [ranges](face_ranges_of),
+/// to a file. Nothing is done if it is there already; `false` then.
 ///
 /// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most
 /// 32 triangles, twice while the list grows, and 8 for each of at most 32 links; 16 bytes per cell; chunks of
@@ -492,7 +493,7 @@ impl<'a> FacePart<'a> {
         Ok(least.min(end)..end)
     }
 
-    /// Writes down what they tell.
+    /// Reads the faces of the part, and writes the findings.
     fn read(&self, files: &FaceFiles<'_>, to: &mut NumbersWriter) -> Result<()> {
         let Self { divided: Divided { prepared, .. }, cut: CutFile { cut, .. }, .. } = *self;
         let SamplingPass { model, sampling, folder, progress, .. } = prepared;
@@ -541,7 +542,7 @@ impl<'a> FacePart<'a> {
         Ok(())
     }
 
-    /// Where the last block ends that is the part's, unless a mark tells.
+    /// End of the part's last block in the file, if no mark tells otherwise; `None` for tiles.
     fn end(&self) -> Option<u64> {
         let model = self.divided.prepared.model;
         let end = || model.face_at(model.info().faces);
@@ -576,7 +577,7 @@ fn whole(low: u32, high: u32) -> u64 {
     u64::from(high) << 32 | u64::from(low)
 }
 
-/// Writes what was listed meanwhile.
+/// Writes the ranges and planes that were listed meanwhile.
 fn write_listed(wanted: &mut Wanted<'_, '_>, is_end: bool, to: &mut NumbersWriter) -> Result<()> {
     if let Some(ranges) = &mut wanted.ranges {
         for (cell, range) in ranges.take_listed(is_end) {
@@ -598,7 +599,7 @@ fn write_triangles(found: &Triangles, first: u32, to: &mut NumbersWriter) -> Res
     found.triangles.iter().try_for_each(|t| to.push(list::TRIANGLES, &t.map(|corner| corner + first)))
 }
 
-/// Writes what hangs together of some vertices.
+/// Writes the islands of some vertices.
 fn write_islands(
     islands: &mut Islands,
     vertices: Range<u32>,
@@ -626,7 +627,7 @@ impl Divided<'_> {
         self.members_of(member::SAMPLES, cut, files, vertices)?.map_mut()
     }
 
-    /// A list of what is known of some vertices, by the files of all ranges.
+    /// List of the samples or twins of some vertices, from the files of all ranges.
     fn members_of(
         &self,
         list: usize,
@@ -659,8 +660,8 @@ impl Divided<'_> {
 }
 
 impl SamplingPass<'_> {
-    /// Where some vertices are, in local coordinates; nowhere those that have no sample. Calls `done` with
-    /// how many more it has read.
+    /// Local positions of some vertices, not a number for those that have no sample. Calls `done` with the
+    /// number of vertices read since the last call.
     fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Map> {
         let scratch = Scratch::new(self.folder, ADVICE)?;
         let mut reader = self.model.vertices(vertices)?;
@@ -784,8 +785,8 @@ impl Divided<'_> {
         reindexed.fit(read, sample_of, vertices)
     }
 
-    /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples
-    /// of all vertices.
+    /// Takes the findings of all ranges of the faces; islands, if sheets are told apart, by the samples of
+    /// all vertices.
     fn take_faces(
         &self,
         cut: &CutFile,
@@ -814,7 +815,7 @@ impl Divided<'_> {
     }
 }
 
-/// Takes what a range of the faces told. There are so many samples and vertices, and so many cells.
+/// Takes the findings of a range of the faces, for a model with these numbers of samples, vertices and cells.
 fn take(
     file: &NumbersFile,
     all: &mut Reindexing<'_, '_>,
@@ -865,7 +866,7 @@ fn take(
     Ok(())
 }
 
-/// Visits the numbers of a list, so many at a time, as long as they make sense.
+/// Visits the numbers of a list, `N` at a time, as long as they make sense.
 fn records<const N: usize>(
     file: &NumbersFile,
     list: usize,
@@ -873,7 +874,7 @@ fn records<const N: usize>(
     mut visit: impl FnMut(&[u32; N]) -> bool,
 ) -> Result<()> {
     let damaged = || refused(file.path(), "is damaged: its numbers make no sense");
-    // Of one that goes on in the next block.
+    // Numbers of a record that goes on in the next block.
     let mut begun: Vec<u32> = Vec::with_capacity(N);
     file.each(list, |mut numbers| {
         progress.check()?;

@@ -1,7 +1,8 @@
-//! Where in the file the faces of each cell's vertices are: what a refinement has to read of them (paper §6).
+//! Ranges of the file with the faces of each cell's vertices, of which a refinement reads what it needs
+//! (paper §6).
 //!
-//! Faces are looked at in blocks between two marks of their reader, so that what is kept are bytes of the
-//! file, whatever its format. A block is in the ranges of each cell that one of its faces has a corner in.
+//! Faces are looked at in blocks between two marks of their reader, so that ranges of bytes of the file are
+//! kept, whatever its format. A block is in the ranges of each cell that one of its faces has a corner in.
 
 use std::ops::Range;
 
@@ -10,13 +11,13 @@ use super::ranges::{PackedRanges, Ranges};
 
 /// The ranges of all cells, while the faces stream.
 ///
-/// Memory: that of [`Ranges`], or 16 bytes per cell and what is not [taken](Self::take_listed) yet; and 4
-/// bytes per sample.
+/// Memory: that of [`Ranges`], or 16 bytes per cell and the ranges that are not [taken](Self::take_listed)
+/// yet; and 4 bytes per sample.
 pub struct FaceRanges {
-    /// For each sample its cell, or the first of those that share it.
+    /// Cell of each sample, or the first of those that share it.
     cell_of: Vec<u32>,
     ranges: KeptRanges,
-    /// Where the block began that the stream is in, and the cells met in it.
+    /// Offset at which the block of the stream began, and the cells met in it.
     open: Option<u64>,
     met: Vec<u32>,
 }
@@ -53,7 +54,7 @@ impl FaceRanges {
         Self { ranges, ..Self::new(trees, samples) }
     }
 
-    /// The ranges of cells, those of each one in the order of the file, that were listed and cannot go on any
+    /// Ranges of cells, those of each one in the order of the file, that were listed and cannot go on any
     /// more; at the end all that are left.
     pub fn take_listed(&mut self, is_end: bool) -> Vec<(u32, Range<u64>)> {
         let KeptRanges::Listed { last, list } = &mut self.ranges else { return Vec::new() };
@@ -65,13 +66,13 @@ impl FaceRanges {
         taken
     }
 
-    /// Takes a range that was listed, those of each cell in the order of the file.
+    /// Takes a listed range, those of each cell in the order of the file.
     pub fn join(&mut self, cell: u32, range: Range<u64>) {
         self.open.get_or_insert(range.start);
         self.ranges.add(cell, range);
     }
 
-    /// Ranges without faces yet. `trees` are those of all cells, of so many samples.
+    /// Ranges without faces yet. `trees` are those of all cells, of `samples` samples.
     pub fn new(trees: &[CutTree], samples: usize) -> Self {
         let mut cell_of = vec![0; samples];
         for (cell, tree) in trees.iter().enumerate().rev() {
@@ -94,7 +95,7 @@ impl FaceRanges {
         self.met.clear();
     }
 
-    /// Takes what was met in the faces that come next.
+    /// Takes the cells met in the faces that come next.
     pub fn take(&mut self, met: &MetCells) {
         let MetCells { cells, marks, .. } = met;
         let mut at = 0;
@@ -119,7 +120,7 @@ impl FaceRanges {
         let KeptRanges::Joined(ranges) = self.ranges else { return None };
         self.open?;
         let mut cells: Vec<_> = ranges.into_cells().iter().map(PackedRanges::all).collect();
-        // Cells that share a sample have what was noted for the first of them.
+        // Cells that share a sample have the ranges noted for the first of them.
         for (cell, tree) in trees.iter().enumerate() {
             let first = tree.samples.first().map_or(cell, |sample| self.cell_of[*sample as usize] as usize);
             if first != cell {
@@ -136,9 +137,9 @@ impl FaceRanges {
 #[derive(Debug, Default)]
 pub struct MetCells {
     cells: Vec<u32>,
-    /// Where the cells of the block begin.
+    /// Place in `cells` of the first one of the block.
     block: usize,
-    /// Where blocks begin in the file, and how many of the cells come before.
+    /// Offset of each block in the file, and the number of cells before the block's.
     marks: Vec<(u64, usize)>,
 }
 
@@ -152,7 +153,7 @@ impl MetCells {
     /// A face of the block has a corner in a cell.
     #[inline]
     pub fn meet(&mut self, cell: u32) {
-        // Mostly the one that was met last.
+        // The cell is mostly the one that was met last.
         if !self.cells[self.block..].iter().rev().any(|met| *met == cell) {
             self.cells.push(cell);
         }

@@ -1,4 +1,4 @@
-//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a
+//! Starts of the runs of triangles in a model's faces whose planes are summed up by themselves, so that a
 //! part of the faces can be read by itself. Where all faces are triangles of one length, arithmetic tells;
 //! else they are gone over once.
 
@@ -13,12 +13,12 @@ use super::clustered_file::refused;
 use super::placement::FACES_OF_A_SUM;
 use crate::sealed::{seal, unsealed};
 
-/// What a file of runs begins with.
+/// First letters of a file of runs.
 const LETTERS: &[u8; 8] = b"simodrun";
 
 const VERSION: u32 = 1;
 
-/// No file of runs is longer: of 2³² - 1 triangles for each vertex there are far fewer.
+/// Most bytes of a file of runs: of 2³² - 1 triangles for each vertex there are far fewer.
 const LONGEST: u64 = 1 << 36;
 
 /// The runs of a model's faces, each of [`FACES_OF_A_SUM`] triangles but for the last one.
@@ -37,20 +37,21 @@ pub(super) struct FaceRuns {
 struct RunStart {
     /// The mark from which faces can be read: of several behind as many triangles, the first.
     mark: u64,
-    /// So many triangles from there on come before the run.
+    /// Number of triangles from the mark on that come before the run.
     skip: u64,
 }
 
-/// What is read by who has a part of the runs.
+/// Range of the faces that is read for a part of the runs.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct RunsRead {
-    /// The mark from which on it is read.
+    /// Mark at which reading begins.
     pub(super) from: u64,
-    /// The triangles from there on of its runs, whose planes it sums up …
+    /// Triangles of the part's runs, counted from that mark, whose planes the part sums up …
     pub(super) summed: Range<u64>,
-    /// … and those that lie before the mark from which the next one reads, of which it finds all else.
+    /// … and the number of those before the mark at which the next part begins to read, in which this part
+    /// finds all else.
     pub(super) found: u64,
-    /// The mark at which it ends; none of the last part, which reads to the end.
+    /// Mark at which the part ends; `None` for the last part, which reads to the end.
     pub(super) to: Option<u64>,
 }
 
@@ -79,7 +80,7 @@ pub fn find(model: &dyn Model, target: &Path, progress: &dyn Progress) -> Result
     Ok(true)
 }
 
-/// What tells that a file is of a model.
+/// Hash of a model's size, by which a file is known to be of it.
 fn key_of(model: &dyn Model) -> u128 {
     let info = model.info();
     xxh3_128(
@@ -88,7 +89,7 @@ fn key_of(model: &dyn Model) -> u128 {
 }
 
 impl FaceRuns {
-    /// The runs of a model, by a file unless arithmetic tells.
+    /// Runs of a model, from a file unless arithmetic tells.
     pub(super) fn known(model: &dyn Model, file: &Path) -> Result<Self> {
         if have_to_be_found(model) { Self::read(model, file) } else { Ok(Self::of_triangles(model)) }
     }
@@ -119,7 +120,7 @@ impl FaceRuns {
 
     fn find(model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
         let mut runs = Self { key: key_of(model), ..Self::default() };
-        // How many triangles come before the last mark, and where it is.
+        // Number of triangles before the last mark, and the mark's offset.
         let mut last: Option<(u64, u64)> = None;
         for_faces(model, |chunk| {
             progress.check()?;
@@ -141,7 +142,8 @@ impl FaceRuns {
         Err(Error::internal(format!("{} has faces without marks", model.path().display())))
     }
 
-    /// Runs begin behind the last mark whose first triangle is one of so many.
+    /// Begins the runs, each of [`FACES_OF_A_SUM`] triangles, whose first triangle is among the first
+    /// `triangles`: each from the last mark before it.
     fn begin(&mut self, triangles: u64, last: Option<(u64, u64)>) {
         let Some((before, mark)) = last else { return };
         loop {
@@ -158,7 +160,7 @@ impl FaceRuns {
         self.triangles
     }
 
-    /// What is read of a part of so many; nothing where there are fewer runs than parts.
+    /// Range that is read for part number `part` of `parts`; `None` where there are fewer runs than parts.
     pub(super) fn part(&self, part: u64, parts: u64) -> Option<RunsRead> {
         let runs = self.starts.len() as u64;
         let at = |share: u64| (u128::from(runs) * u128::from(share) / u128::from(parts.max(1))) as u64;
@@ -182,7 +184,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// All triangles of any blocks of faces are found once, and summed up once, by any number of parts.
+        /// Triangles of any blocks of faces are found once, and summed up once, by any number of parts.
         #[test]
         fn parts_have_all_triangles_once(
             blocks in proptest::collection::vec(prop_oneof![0..50u64, 0..200_000u64], 1..40), parts in 1..50u64,

@@ -32,18 +32,19 @@ use super::vs_tree::{TreeWorkspace, VsTree};
 /// may be larger.
 pub(super) const MAX_QUEUED: usize = 4 << 20;
 
-/// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A
-/// constant, so that the result depends neither on the machine's memory nor on the number of threads.
+/// Largest number of bytes of a cell's items that are clustered at once, and as much to sort them, on each
+/// thread. A constant, so that the result depends neither on the machine's memory nor on the number of
+/// threads.
 pub const PART: usize = 3 << 20;
 
-/// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its
-/// tree, of at most 1.4 nodes per sample, twice.
+/// Memory for clustering cells of which the largest has `largest` bytes: each part twice, and its tree, of at
+/// most 1.4 nodes per sample, twice.
 pub fn work_memory(largest: u64) -> u64 {
     // Whatever the number of threads: no more is in work than may be queued, and the last cell.
     6 * (largest.min(PART as u64) + MAX_QUEUED as u64)
 }
 
-/// What pass 2 works on.
+/// Inputs of pass 2.
 pub struct ClusteringPass<'a> {
     /// The model.
     pub model: &'a dyn Model,
@@ -57,16 +58,16 @@ pub struct ClusteringPass<'a> {
     pub target: Option<usize>,
     /// Error down to which cells are clustered, in local units.
     pub bound: f32,
-    /// Most clusters that may be kept if there is no target.
+    /// Largest number of clusters that may be kept if there is no target.
     pub most: usize,
-    /// Whether, and how well, the number of samples that the whole model will have is foreseen: less work,
-    /// but it can fail.
+    /// Factor times √f of the target's clusters that a part f of the vertices gets, where the number of
+    /// samples of the whole model is foreseen, which is less work but can fail; `None` if it is not.
     pub foresight: Option<f64>,
-    /// What of the model is streamed, and which cells are clustered.
+    /// Part of the model that is streamed, and the cells that are clustered.
     pub job: StreamJob<'a>,
-    /// Whether it shall be known which cluster each vertex belongs to.
+    /// Whether the cluster of each vertex is recorded.
     pub with_members: bool,
-    /// What else shall be known of the vertices then.
+    /// Further records of the vertices, if their clusters are recorded.
     pub noted: Noted,
     /// The choice of vertices whose colours are kept, if colours are wanted.
     pub picking: Option<&'a Picking>,
@@ -78,19 +79,19 @@ pub struct ClusteringPass<'a> {
     pub progress: &'a dyn Progress,
 }
 
-/// What of the model is streamed, and which cells are clustered.
+/// Part of the model that is streamed, and the cells that are clustered.
 #[derive(Clone, Copy)]
 pub enum StreamJob<'a> {
     /// All.
     Whole,
     /// A range, and the cells that lie wholly within; vertices of the others are written down.
     Range(&'a Shares, u32, &'a Mutex<SharedWriter>),
-    /// What ranges have written down for a group of cells.
+    /// Vertices that ranges have written down for a group of cells.
     Group(&'a Shares, u32, &'a Mutex<SharedReader>),
 }
 
 impl StreamJob<'_> {
-    /// Whether it is this one's to cluster a cell.
+    /// Whether this job clusters a cell.
     #[inline]
     pub fn has(&self, cell: u32) -> bool {
         match self {
@@ -103,11 +104,11 @@ impl StreamJob<'_> {
 
 /// The hash of the vertices that are streamed.
 pub enum HashedStream {
-    /// All of them.
+    /// Bytes of all vertices.
     All(VertexHash),
     /// The bytes of a range of the vertices.
     Part(PartHasher),
-    /// Nothing: others do.
+    /// Nothing: others hash the vertices.
     Nothing,
 }
 
@@ -128,13 +129,13 @@ pub struct Clustered {
     pub forest: Forest,
     /// The hash of the bytes of all vertices.
     pub hash: HashedStream,
-    /// Where in the stream each cell's vertices are.
+    /// Ranges of the stream with each cell's vertices.
     pub ranges: Vec<PackedRanges>,
-    /// How many items each cell had.
+    /// Number of items of each cell.
     pub items: Vec<u32>,
     /// The jumps of the stream from cell to cell.
     pub jumps: Jumps,
-    /// The cluster of each vertex, if it shall be known.
+    /// Cluster of each vertex, if it is recorded.
     pub membership: Option<Membership>,
     /// The colours of some vertices, if they are wanted.
     pub picked: Option<Picked>,
@@ -142,7 +143,7 @@ pub struct Clustered {
 
 impl ClusteringPass<'_> {
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
-    /// what a cut of the target number of samples can reach.
+    /// the nodes that a cut of the target number of samples can reach.
     pub(super) fn cluster<E: Element>(
         &self,
         cell: u32,
@@ -181,7 +182,7 @@ impl ClusteringPass<'_> {
     }
 }
 
-/// What the tree of a cell is dithered by.
+/// Seed of a cell's tree, by which splits are dithered.
 pub fn seed_of(key: &CellKey) -> u64 {
     key.iter().fold(0, |seed, k| mix(seed, *k as u64))
 }

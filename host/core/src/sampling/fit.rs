@@ -24,22 +24,23 @@ use crate::lists::lists;
 /// Steps of Jacobi's method: more come nearer to the vertices, and move samples farther along the surface.
 const STEPS: usize = 5;
 
-/// Steps are so many times as long: lumped weights are greater than what they stand for, by less than twice
-/// this.
+/// Factor by which steps are longer: lumped weights are greater than the blocks that they stand for, by less
+/// than twice this.
 const OVER: f32 = 1.6;
 
-/// Strength of the ridge, relative to the trace of what a sample sums up: it keeps samples from going along
-/// the surface where little tells them where to.
+/// Strength of the ridge, relative to the trace of a sample's block: it keeps samples from going along the
+/// surface where little tells them where to.
 const RIDGE: f64 = 0.1;
 
-/// So many places of vertices are looked at for each sample, about, if it has as many: more tell little more.
+/// Number of places of vertices that are looked at for each sample, about, if it has as many: more tell
+/// little more.
 const ENOUGH: u32 = 24;
 
-/// Vertices whose sample has more triangles are not looked at: each would have to be compared with all of
-/// them.
+/// Largest number of triangles around a sample whose vertices are looked at: each vertex would have to be
+/// compared with all of them.
 const MOST_AROUND: usize = 32;
 
-/// Vertices of which what is found is added up at a time, while the next ones are looked at.
+/// Vertices whose nearest points are added up at a time, while the next ones are looked at.
 const BLOCK: usize = 1 << 15;
 
 /// Vertices that a thread looks at in one go.
@@ -54,14 +55,14 @@ const FANS: usize = 64;
 /// No sample, and no triangle.
 const NONE: u32 = u32::MAX;
 
-/// What is known of the vertices of P_L.
+/// Vertices of P_L, and the sample of each.
 #[derive(Clone, Copy)]
 pub struct VertexMembers<'a> {
-    /// Where they are, local coordinates.
+    /// Positions of the vertices, local coordinates.
     pub vertices: &'a [Vec3],
-    /// The sample of each; `u32::MAX` if it has none.
+    /// Sample of each vertex; `u32::MAX` if it has none.
     pub sample_of: &'a [u32],
-    /// How many are at one place, about.
+    /// About the number of vertices at one place.
     pub at_one_place: u32,
 }
 
@@ -104,7 +105,7 @@ struct TriangleSurface<'a> {
     triangles: &'a [[u32; 3]],
     /// The triangles' normals; zero where they have no area.
     normals: Vec<Vec3>,
-    /// Where those around each sample begin in `around`.
+    /// Start of each sample's triangles in `around`.
     starts: Vec<u32>,
     around: Vec<u32>,
     /// The longest side of the samples' box.
@@ -158,7 +159,7 @@ impl<'a> TriangleSurface<'a> {
         corners.iter().position(|corner| *corner == sample).unwrap_or(0)
     }
 
-    /// Where the two corners of a triangle after one are.
+    /// Positions of the two corners of a triangle after one.
     #[inline(always)]
     fn others(&self, triangle: u32, corner: usize) -> [Vec3; 2] {
         let corners = self.triangles[triangle as usize];
@@ -185,8 +186,8 @@ impl<'a> TriangleSurface<'a> {
         Ok(moments)
     }
 
-    /// For each sample below what the hashes of those of its vertices are that are looked at: as if by
-    /// chance, so that they are about as many as is enough.
+    /// Bound for each sample below which the hashes of those of its vertices are that are looked at: as if by
+    /// chance, so that about as many are chosen as is enough.
     fn chosen(&self, members: VertexMembers<'_>) -> Vec<u32> {
         let mut chosen = vec![0u32; self.samples.len()];
         for some in members.sample_of.chunks(BLOCK) {
@@ -254,8 +255,8 @@ impl<'a> TriangleSurface<'a> {
         ways
     }
 
-    /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
-    /// ridge.
+    /// Matrix that takes a sample's part of the residual to its step: the inverse of the sample's block,
+    /// lumped, with a ridge.
     fn lumped(&self, sample: u32, moments: &[TriangleSums]) -> Mat3 {
         // A sample at a corner of a triangle of too many vertices stays, as the others would move it alone.
         if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
@@ -277,7 +278,7 @@ impl<'a> TriangleSurface<'a> {
     }
 }
 
-/// The normal of a triangle, zero if it has no area: the same whichever corner is called the first.
+/// Normal of a triangle, zero if it has no area: the same whichever corner is called the first.
 fn normal(mut corners: [Vec3; 3]) -> Vec3 {
     let least = (0..3).min_by(|i, j| by_place(&corners[*i], &corners[*j]));
     corners.rotate_left(least.unwrap_or(0));
@@ -287,7 +288,7 @@ fn normal(mut corners: [Vec3; 3]) -> Vec3 {
     if normal.is_finite() { normal } else { Vec3::ZERO }
 }
 
-/// One, in sums of products of coordinates.
+/// Weight that stands for 1 in sums of products of coordinates.
 const WEIGHT: f32 = (1 << 16) as f32;
 
 /// The samples' extent, in sums of heights.
@@ -329,7 +330,8 @@ impl TriangleSums {
         [self.squares[corner], product(2), product(1)].map(|sum| sum as f32 / WEIGHT)
     }
 
-    /// Σ b h of each corner, less what is `gone` of it: how far corners have gone along the normal.
+    /// Σ b h of each corner, less the part due to `gone`: the distance that corners have gone along the
+    /// normal.
     fn left(&self, gone: [f32; 3], extent: f32) -> [f32; 3] {
         std::array::from_fn(|corner| {
             let weights = self.weights(corner);
@@ -379,7 +381,7 @@ fn hash(place: Vec3) -> u32 {
     (hash ^ hash >> 15).wrapping_mul(0x85eb_ca6b)
 }
 
-/// Adds what was found to the moments; heights `per` local unit.
+/// Adds nearest points to the moments; heights `per` local unit.
 fn add(moments: &mut [TriangleSums], found: &[NearestPoint], per: f32) {
     for NearestPoint { triangle, weights, height } in found {
         if let Some(moments) = moments.get_mut(*triangle as usize) {
@@ -394,7 +396,7 @@ struct NearestPoint {
     triangle: u32,
     /// The point's barycentric coordinates.
     weights: [f32; 3],
-    /// How high the vertex is over the triangle.
+    /// Signed height of the vertex over the triangle.
     height: f32,
 }
 
@@ -428,7 +430,7 @@ struct Blades {
     bb: [f32; LANES],
     bc: [f32; LANES],
     cc: [f32; LANES],
-    /// One over the squares of b, c and c − b, and over (b × c)²; 0 where that is nothing.
+    /// One over the squares of b, c and c − b, and over (b × c)²; 0 where that square is zero.
     per_bb: [f32; LANES],
     per_cc: [f32; LANES],
     per_ee: [f32; LANES],
@@ -451,7 +453,7 @@ impl SampleFan {
         }
     }
 
-    /// What of them is nearest to a point.
+    /// Point of the fan's triangles that is nearest to `p`.
     #[inline(always)]
     fn nearest(&self, p: Vec3) -> NearestPoint {
         let p = p - self.apex;
@@ -516,7 +518,7 @@ impl Blades {
         }
     }
 
-    /// How far a vector goes along one of each triangle.
+    /// Dot product of a vector with one of each triangle's, for the triangle in a lane.
     #[inline(always)]
     fn along(&self, a: &[[f32; LANES]; 3], lane: usize, p: Vec3) -> f32 {
         a[0][lane] * p.x + a[1][lane] * p.y + a[2][lane] * p.z
@@ -538,7 +540,7 @@ impl Blades {
             let t = within((bb - bc + cp - bp) * self.per_ee[i]);
             let sides = nearer((square(v, 0.0), v, 0.0), (square(0.0, w), 0.0, w));
             let sides = nearer(sides, (square(1.0 - t, t), 1.0 - t, t));
-            // … and what is between them.
+            // … and the point between them.
             let (v, w) = ((cc * bp - bc * cp) * self.per_area[i], (bb * cp - bc * bp) * self.per_area[i]);
             let inside = v >= 0.0 && w >= 0.0 && v + w <= 1.0;
             let best = if inside { nearer(sides, (square(v, w), v, w)) } else { sides };
@@ -628,7 +630,7 @@ mod tests {
         }
     }
 
-    /// Samples of a square of side 1, so many along a side, as high as it is said, and their triangles.
+    /// Samples of a square of side 1, `side` along a side, with these heights, and their triangles.
     fn square(side: u32, height: impl Fn(f32, f32) -> f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let at = |i: u32| i as f32 / (side - 1) as f32;
         let sample = |i: u32| {
@@ -643,12 +645,13 @@ mod tests {
         ((0..side * side).map(sample).collect(), triangles)
     }
 
-    /// Fits the samples of a square of height 0.01 to a wave, as far as they may go, in so many threads.
+    /// Samples of a square of height 0.01, fitted to a wave, as far as they may go, by this number of
+    /// threads.
     fn fitted(most: f32, threads: usize) -> (Vec<Placed>, Vec<Vec3>) {
         fitted_to(|_| (), most, threads)
     }
 
-    /// The same, to the wave's vertices in another order.
+    /// Samples fitted likewise to the wave's vertices in another order.
     fn fitted_to(order: impl Fn(&mut [Vec3]), most: f32, threads: usize) -> (Vec<Placed>, Vec<Vec3>) {
         let wave = |x: f32, z: f32| 0.02 * (7.0 * x).sin() * (5.0 * z).cos();
         let (first, triangles) = square(11, |_, _| 0.01);
@@ -676,7 +679,7 @@ mod tests {
         let before: f32 = first.iter().map(|p| off(*p)).sum();
         let after: f32 = placed.iter().map(|placed| off(placed.at)).sum();
         assert!(after < 0.2 * before, "{after} and {before}");
-        // None goes where it may not, …
+        // No sample goes where it may not, …
         assert!(placed[60].at == first[60] && placed[61].at == first[61]);
         // … nor along a flat surface.
         let along = placed.iter().zip(&first).map(|(p, q)| (p.at - *q).with_y(0.0).length());

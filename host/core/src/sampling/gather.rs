@@ -1,8 +1,8 @@
-//! The content of a cell while it is open: its vertices as they are, or small groups of them.
+//! Content of a cell while it is open: its single vertices, or small groups of them.
 //!
-//! Vertices as they are take memory by the number of vertices in open cells, which grows with the model.
-//! Where that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell
-//! then holds as many groups as the surface in it meets cubes, however many vertices the model has.
+//! Single vertices take memory by the number of vertices in open cells, which grows with the model. Where
+//! that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell then
+//! holds as many groups as the surface in it meets cubes, however many vertices the model has.
 
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
@@ -19,7 +19,7 @@ use super::grid::{CellHasher, CellRecord, Grid};
 use super::open_cells::{BLOCK, CellItems, OpenCells};
 use super::shares::PIECE;
 
-/// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
+/// Memory for the vertices of open cells beyond which they are summed up in groups, if that takes less.
 const VERTICES_AT_EASE: u64 = 12 << 20;
 
 /// The factor by which the groups that are expected are too many, where there are surely no fewer than find
@@ -35,18 +35,18 @@ const MAX_LEVEL: u32 = 6;
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
-/// Holds what the stream has brought of each open cell.
+/// Holder of the vertices, or groups, of each open cell.
 pub trait Gather: Send {
-    /// What a cell's VS-Tree is built of.
+    /// Element of a cell's VS-Tree.
     type Item: Element;
-    /// What gathers a piece of the stream, apart from all others.
+    /// Gatherer of a piece of the stream, apart from all others.
     type Piece: GatherPiece<Item = Self::Item>;
 
-    /// One that has gathered nothing yet.
+    /// Gatherer that has gathered nothing yet.
     fn piece(&self) -> Self::Piece;
 
-    /// Adds an item of a piece to a cell; the index of the item of the cell that it is, or is part of. Pieces
-    /// come in the order of the stream, and their items in theirs. `None` if there is no room.
+    /// Adds an item of a piece to a cell; returns the index of the cell's item that it is, or is part of.
+    /// Pieces come in the order of the stream, and their items in theirs. `None` if there is no room.
     ///
     /// # Errors
     /// The temporary file cannot be written.
@@ -67,7 +67,7 @@ pub trait GatherPiece: Send + Sync {
     /// The items that are gathered.
     type Item: Element;
 
-    /// Adds a vertex to a cell; which item of the piece it is, or is part of.
+    /// Adds a vertex to a cell; returns the piece's item that it is, or is part of.
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32;
 
     /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
@@ -81,11 +81,11 @@ pub trait GatherPiece: Send + Sync {
     fn begin(&mut self, memory: Vec<(u32, Self::Item)>);
 }
 
-/// Vertices as they are.
+/// Holder of single vertices.
 pub struct VertexGather(OpenCells<Vertex>);
 
 impl VertexGather {
-    /// For so many cells, in `memory` bytes and otherwise in a file in `folder`.
+    /// Holder for `cells` cells, in `memory` bytes and otherwise in a file in `folder`.
     pub fn new(cells: usize, memory: u64, folder: &Path) -> Self {
         Self(OpenCells::new(cells, memory, folder))
     }
@@ -116,7 +116,7 @@ impl Gather for VertexGather {
     }
 }
 
-/// The vertices of a piece as they are.
+/// Single vertices of a piece.
 #[derive(Default)]
 pub struct PieceVertices(Vec<(u32, Vertex)>);
 
@@ -151,11 +151,12 @@ pub struct GroupGather {
     spare: Vec<CubeGroups>,
 }
 
-/// Where the groups of each cube of a cell are, by [`key`].
+/// Place among the open cells' groups of each group of a cell, by the [`key`] of its cube and a number of up
+/// to eight for groups of one cube.
 type CubeGroups = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
 impl GroupGather {
-    /// For so many cells, with cubes of this edge, in `memory` bytes.
+    /// Holder for `cells` cells, with cubes of this edge, in `memory` bytes.
     pub fn new(cells: usize, edge: f32, memory: u64) -> Self {
         let mut tables = Vec::new();
         tables.resize_with(cells, || None);
@@ -207,15 +208,15 @@ impl Gather for GroupGather {
     }
 }
 
-/// Whether groups find room in `memory` bytes, if the cells have so many in the end: what there was room for
-/// by the way depends on who gathers which cells.
+/// Whether groups find room in `memory` bytes, if each cell has the given number of them in the end; the room
+/// while they are gathered depends on who gathers which cells.
 pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
     groups_find_room(records, groups, GroupGather::new(0, 1.0, memory).open.blocks())
 }
 
-/// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with
-/// all that it has in the end, and in all of each piece of the stream that it is open in, so that no order in
-/// which pieces or cells are gathered finds less room than this.
+/// Whether the groups of all cells that are open at a time have room in `blocks` blocks. A cell counts with
+/// all groups that it has in the end, and in all of each piece of the stream that it is open in, so that no
+/// order in which pieces or cells are gathered finds less room than this.
 fn groups_find_room(records: &[CellRecord], groups: &[u32], blocks: u64) -> bool {
     let in_pieces = |r: &CellRecord| CellRecord { first: r.first / PIECE, last: r.last / PIECE, ..*r };
     let records: Vec<_> = records.iter().map(in_pieces).collect();
@@ -228,11 +229,12 @@ pub struct PieceGroups {
     /// The inverse of the edge: a division for each vertex would take as long as all else.
     per_edge: f32,
     items: Vec<(u32, Group)>,
-    /// The group of the same cell that was begun next after each of them.
+    /// Group of the same cell that was begun next after each group.
     next: Vec<u32>,
     /// The number of groups of each cell, and the one that was begun last.
     cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
-    /// Where the groups of each cube are, by its cell and [`key`].
+    /// Place in `items` of each group, by its cell, the [`key`] of its cube, and a number of up to eight for
+    /// groups of one cube.
     table: HashMap<u64, u32, BuildHasherDefault<CellHasher>>,
     last: Option<Last>,
 }
@@ -240,17 +242,17 @@ pub struct PieceGroups {
 /// No group.
 const NONE: u32 = u32::MAX;
 
-/// Where the last vertex went: the next one is probably near.
+/// Cube and group of the last vertex: the next one is probably near.
 struct Last {
     cell: u32,
     cube: IVec3,
     place: u32,
-    /// What the group has come to, which is written back when another one follows.
+    /// Sums of the group so far, which are written back when another one follows.
     sums: GroupSums,
 }
 
 impl PieceGroups {
-    /// With cubes of this edge.
+    /// Empty groups, with cubes of this edge.
     pub fn new(edge: f32) -> Self {
         Self {
             edge,
@@ -302,8 +304,8 @@ impl PieceGroups {
 impl GatherPiece for PieceGroups {
     type Item = Group;
 
-    // Always inlined, as a position that is stored by two numbers and one for a call, and read otherwise, has
-    // to be waited for.
+    // The method is always inlined, as a position that is stored by two numbers and one for a call, and read
+    // otherwise, has to be waited for.
     #[inline(always)]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
         let cube = floor(position * self.per_edge);
@@ -311,8 +313,8 @@ impl GatherPiece for PieceGroups {
             && last.cell == cell
         {
             if last.cube != cube {
-                // A stream that went from this cube to another does so again: that one's group was begun
-                // next.
+                // A stream that went from this cube to another does so again: the group that was begun next
+                // is tried first.
                 let index = self.items[last.place as usize].1.index();
                 let next = self.next[last.place as usize];
                 if !(index as usize + 1).is_multiple_of(BLOCK)
@@ -353,7 +355,7 @@ impl GatherPiece for PieceGroups {
     }
 }
 
-/// How the groups of a model were gathered.
+/// Cubes in which the vertices of a model were gathered in groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cubes {
     /// Edge of the cubes, local units.
@@ -366,7 +368,7 @@ pub struct Cubes {
 const SHEETS: u32 = 8;
 const NEXT_SHEET: u32 = 1 << 24;
 
-/// A cube's place among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a
+/// Place of a cube among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a
 /// part of the coordinates' digits will do.
 fn key(cube: IVec3) -> u32 {
     let [x, y, z] = cube.to_array().map(|x| x as u32 & 0xff);
@@ -386,15 +388,15 @@ fn floor(x: Vec3) -> IVec3 {
     IVec3::select(above, towards_zero - 1, towards_zero)
 }
 
-/// How the vertices of open cells are held.
+/// Form in which the vertices of open cells are held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub enum Grouping {
-    /// As they are, unless too many are held at a time, and groups of them would be fewer.
+    /// Single vertices, unless too many are held at a time, and groups of them would be fewer.
     #[default]
     Automatic,
-    /// As they are.
+    /// Single vertices.
     Never,
-    /// In groups, by cubes of 2^-level of a cell; the level is at most 6.
+    /// Groups, by cubes of 2^-level of a cell; the level is at most 6.
     Level(u32),
 }
 
@@ -415,13 +417,13 @@ impl Grouping {
                     let cubes = 2 << (2 * level);
                     let groups = most_open(&grid.records, |cell| count(cell).min(cubes) * GROUP_BYTES);
                     let helps = vertices > VERTICES_AT_EASE && 2 * groups < vertices;
-                    // What would probably find none need not be tried.
+                    // Groups that would probably find no room need not be tried.
                     let has_room = groups / SURELY_TOO_MANY <= memory;
                     if helps && has_room { Self::Level(level) } else { Self::Never }
                 })
             }
         };
-        // Where all is in one place, cubes have no size.
+        // Cubes have no size where all vertices are in one place.
         resolved.edge(grid.cell_size(), frame).map_or(Self::Never, |_| resolved)
     }
 
@@ -455,7 +457,8 @@ fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
     }
 }
 
-/// Most of something that open cells hold at a time; a cell is open from its first vertex to its last one.
+/// Largest sum of `size` over the cells that are open at a time; a cell is open from its first vertex to its
+/// last one.
 fn most_open(records: &[CellRecord], size: impl Fn(usize) -> u64) -> u64 {
     let mut events: Vec<(u64, bool, u32)> = Vec::with_capacity(2 * records.len());
     for (i, r) in records.iter().enumerate() {
@@ -582,7 +585,7 @@ mod tests {
         let groups = [2 * block, block + 1, 3 * block];
         assert!(groups_find_room(&records, &groups, 4));
         assert!(!groups_find_room(&records, &groups, 3));
-        // What is counted by the way has no more.
+        // Groups that are counted while they are gathered have no more room.
         assert!(groups_find_room(&records, &[block; 3], 2));
         assert!(find_room(&records, &groups, 1 << 30) && find_room(&records, &[1, 1, 1], 0));
     }

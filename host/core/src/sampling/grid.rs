@@ -14,7 +14,7 @@ use simod_model::bounds::Bounds;
 /// Integer coordinates of a cell: ⌊p / cell size⌋.
 pub type CellKey = [i64; 3];
 
-/// What pass 1 keeps of a cell.
+/// Record of pass 1 for one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CellRecord {
     /// Number of vertices in the cell.
@@ -71,7 +71,7 @@ pub struct GridCounter {
     key_max: CellKey,
     /// The cell of the last vertex: streams are coherent, so the map is seldom asked.
     current: Option<(CellKey, CellRecord)>,
-    /// What is surely inside that cell and the bounds: most vertices are, and need no further look.
+    /// Box that is surely inside that cell and the bounds: most vertices are in it, and need no further look.
     inside: Bounds,
     bounds: Bounds,
 }
@@ -114,8 +114,8 @@ impl GridCounter {
         };
     }
 
-    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far; whether it
-    /// is in the same cell.
+    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far; returns
+    /// whether it is in the same cell.
     fn enter(&mut self, p: DVec3, index: u64) -> bool {
         self.bounds.include(p);
         // Keys stay below 2^53, exact in a double and far from overflow.
@@ -183,8 +183,8 @@ impl GridCounter {
         self.level = level;
     }
 
-    /// Takes in what another counter of the same resolution has counted: the result is that of one that
-    /// counted all vertices.
+    /// Adds the counts of another counter of the same resolution: the result is that of one that counted all
+    /// vertices.
     pub fn absorb(&mut self, mut other: Self) {
         other.flush();
         if other.cells.is_empty() {
@@ -205,7 +205,7 @@ impl GridCounter {
         self.fit();
     }
 
-    /// What was counted: the level, the bounds, and the cells by their keys.
+    /// Counts: the level, the bounds, and the cells by their keys.
     pub fn into_cells(mut self) -> (i32, Bounds, Vec<(CellKey, CellRecord)>) {
         self.flush();
         let mut cells: Vec<_> = self.cells.into_iter().collect();
@@ -213,7 +213,8 @@ impl GridCounter {
         (self.level, self.bounds, cells)
     }
 
-    /// What another counter of this resolution [has counted](Self::into_cells); `None` if none could have.
+    /// Counter with the counts that another one of this resolution [gave](Self::into_cells); `None` if no
+    /// counter can have given them.
     pub fn of_cells(
         resolution: u32,
         level: i32,
@@ -238,7 +239,7 @@ impl GridCounter {
     pub fn finish(mut self) -> Grid {
         self.flush();
         let mut cells: Vec<_> = self.cells.into_iter().collect();
-        // In the order in which the stream meets them; no two cells share a first vertex.
+        // Cells are in the order in which the stream meets them; no two cells share a first vertex.
         cells.sort_unstable_by_key(|(_, record)| record.first);
         let index = cells.iter().enumerate().map(|(i, (key, _))| (*key, i as u32)).collect();
         let (keys, records) = cells.into_iter().unzip();
@@ -246,7 +247,7 @@ impl GridCounter {
     }
 }
 
-/// The coarse grid G after pass 1: which cells are occupied, by how many vertices and where in the stream.
+/// Coarse grid G after pass 1: the occupied cells, their numbers of vertices and their places in the stream.
 #[derive(Debug)]
 pub struct Grid {
     /// log₂ of the cell size.
@@ -296,7 +297,7 @@ fn exponent(x: f64) -> i32 {
     ((x.to_bits() >> 52) & 0x7ff).max(1) as i32 - 1023
 }
 
-/// The points that are surely in a cell: its upper faces are not, and neither is what rounding may have
+/// Box of the points that are surely in a cell: its upper faces are not, nor those that rounding may have
 /// moved.
 pub fn cell_box(key: CellKey, level: i32) -> Bounds {
     let half = level / 2;

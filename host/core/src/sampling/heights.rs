@@ -1,4 +1,4 @@
-//! How samples stand over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once
+//! Heights of samples over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once
 //! as the processor's vector registers take, each by the same operations in the same order on any processor.
 
 #![expect(
@@ -16,21 +16,21 @@ use super::ways::{NEIGHBOURS, Ways, mean, scatter};
 use crate::double_lanes::{DoubleLanes, DoubleMask, Triple};
 use crate::eigen_lanes::{dot, symmetric_eigen};
 
-/// Neighbours whose mean distance tells how far apart samples are: as many as in a hexagonal packing.
+/// Neighbours whose mean distance is the distance of samples: as many as in a hexagonal packing.
 pub(super) const RING: usize = 6;
 
 /// Neighbours that are farther than this many times as much do not count.
 const REACH: f64 = 2.0;
 
-/// Least moment of the neighbours' weights, of what it is where these surround a sample.
+/// Least moment of the neighbours' weights, as a part of that where these surround a sample.
 const LEAST_SURROUNDED: f64 = 0.5;
 
-/// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
+/// Largest thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, and the part
-/// of the variance of heights that parting these explains then: their means stay where they are.
+/// Least thickness, likewise, from which on the neighbours may be of two sheets, and the part of the variance
+/// of heights that parting these explains then: their means stay where they are.
 const LEAST_THICKNESS: f64 = 1.0 / 64.0;
 const TWO_SHEETS: f64 = 0.95;
 
@@ -38,19 +38,19 @@ const TWO_SHEETS: f64 = 0.95;
 /// parting explains 3/4.
 const AS_OF_ONE: f64 = 0.75;
 
-/// Partings of neighbours at most, each across what the former one has found.
+/// Largest number of partings of neighbours, each across the sheets that the former one has found.
 const PARTINGS: usize = 5;
 
 /// Samples that are looked at by one job.
 const TOGETHER: usize = 256;
 
-/// How a sample stands over its neighbours.
+/// Height of a sample over its neighbours.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Height {
     /// The direction of least variance.
     pub across: Vec3,
-    /// The height over what the neighbours come to, along that; nothing where these do not surround the
-    /// sample, or are no surface, or two of them.
+    /// Height over the plane of the neighbours, along that; 0 where these do not surround the sample, or are
+    /// no surface, or two of them.
     pub height: f64,
     /// The variance of that height, for one of 1 of each sample; nothing where there is none.
     pub variance: f64,
@@ -125,9 +125,9 @@ fn height<S: Simd>(simd: S, ways: &Ways, heights: &mut [Height]) {
     }
 }
 
-/// The height over the plane of weighted least squares of the neighbours, to which these are the ways along
+/// Height over the plane of weighted least squares of the neighbours, to which `around` are the ways along
 /// the axes of their scatter; its variance; and the moment of the neighbours' weights. The ways are in units
-/// of how far apart samples are afterwards.
+/// of the samples' distance afterwards.
 #[inline(always)]
 fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3] {
     let splat = |x| DoubleLanes::splat(simd, x);
@@ -138,8 +138,8 @@ fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3]
     }
     let scale = (splat(RING as f64) / ring).sqrt();
     let mut weights = [zero; NEIGHBOURS];
-    // How much of each neighbour's height their plane of weighted least squares has, here: the first column
-    // of the inverse of the products of 1 and both coordinates.
+    // Weight of each neighbour's height in the height that the plane of weighted least squares has at the
+    // sample: the first column of the inverse of the products of 1 and both coordinates.
     let [mut s, mut y, mut z, mut yy, mut yz, mut zz] = [zero; 6];
     for i in 0..around.len() {
         let d = [around[i][0] * scale, around[i][1] * scale, around[i][2] * scale];
@@ -175,7 +175,8 @@ fn along<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
     d[1] * d[1] + d[2] * d[2]
 }
 
-/// How many of each sample and its neighbours are higher than the middle, and the sum of the ways to them.
+/// Number of those among each sample and its neighbours that are higher than the middle, and the sum of the
+/// ways to them.
 #[inline(always)]
 fn sum_above<S: Simd>(
     simd: S,
@@ -197,9 +198,10 @@ fn sum_above<S: Simd>(
     (upper, sum)
 }
 
-/// Which of the samples that are `asked` for lie on two sheets, one above the other, with their neighbours,
-/// to which these are the ways along the axes of their scatter. Heights are at first along x, and then across
-/// what is found to be both sheets: with all in one, their plane leans from one sheet to the other.
+/// Mask of the samples among those that are `asked` for that lie on two sheets, one above the other, with
+/// their neighbours, to which `around` has the ways along the axes of their scatter. Heights are at first
+/// along x, and then across both sheets as found so far: with all in one, their plane leans from one sheet to
+/// the other.
 #[inline(always)]
 fn are_two_sheets<S: Simd>(
     simd: S,
@@ -234,7 +236,7 @@ fn are_two_sheets<S: Simd>(
         let found = asked.and(splat(TWO_SHEETS).less(part));
         are_two = are_two.or(found);
         asked = asked.and(part.less(splat(TWO_SHEETS)));
-        // What the sheets' distance leaves of the scatter.
+        // Scatter that is left when the sheets' distance is taken off.
         let (mut diagonal, mut off) = (scatter, [zero; 3]);
         for (at, [a, b]) in [[0, 1], [0, 2], [1, 2]].into_iter().enumerate() {
             diagonal[at] = scatter[at] - weight * apart[at] * apart[at];

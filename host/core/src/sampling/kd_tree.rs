@@ -1,12 +1,12 @@
 //! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding
 //! Best Matches in Logarithmic Expected Time*, 1977) of tight boxes.
 //!
-//! Points at the same distance are told apart by their index, so what is found depends on the points alone.
+//! Points at the same distance are told apart by their index, so the results depend on the points alone.
 //!
-//! Why not kiddo's, on which other crates stand: the neighbours of all points at once are what P_S waits for.
-//! 200 000 points of a surface, two cores, kiddo 6.3: 32 neighbours of all in 0.04 s, and 0.18 s by kiddo,
-//! which looks each up by itself and leaves ties open; 0.01 s both to build; a nearest point in 0.3 and 0.2
-//! µs of a core.
+//! Kiddo's tree, on which other crates stand, is not used, as the neighbours of all points at once are what
+//! P_S waits for. 200 000 points of a surface, two cores, kiddo 6.3: 32 neighbours of all in 0.04 s, and 0.18
+//! s by kiddo, which looks each up by itself and leaves ties open; 0.01 s both to build; a nearest point in
+//! 0.3 and 0.2 µs of a core.
 
 use glam::Vec3;
 
@@ -18,8 +18,8 @@ pub(super) const LEAF: usize = 16;
 /// Memory: 20 bytes per point, and 16 more while it is built.
 pub struct KdTree {
     pub(super) leaves: Vec<Leaf>,
-    /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n /
-    /// 2⌋ of them on its left, and 2n − 1 boxes in all.
+    /// Box of each node, then those of its left half, then those of its right half. A node of n leaves has ⌊n
+    /// / 2⌋ of them on its left, and 2n − 1 boxes in all.
     pub(super) boxes: Vec<PointBox>,
     len: usize,
 }
@@ -51,7 +51,7 @@ impl KdTree {
         Self::build(points, true)
     }
 
-    /// The tree of points, built by the calling thread alone: for what jobs of a thread pool wait for.
+    /// Tree of points, built by the calling thread alone: for callers that jobs of a thread pool wait for.
     pub fn in_one_job(points: &[Vec3]) -> Self {
         Self::build(points, false)
     }
@@ -77,7 +77,7 @@ impl KdTree {
         search.found[0] as u32
     }
 
-    /// For each node the largest radius of balls about its points: what [`deepest`](Self::deepest) takes.
+    /// Largest radius of balls about the points of each node, which [`deepest`](Self::deepest) takes.
     ///
     /// Memory: half a byte per point.
     pub fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
@@ -105,8 +105,8 @@ impl KdTree {
         largest[node]
     }
 
-    /// The ball, among those about the points that hold `p`, in which it is nearest to the middle, as a part
-    /// of the radius.
+    /// Ball, among those about the points that hold `p`, in which `p` is nearest to the middle, as a part of
+    /// the radius.
     pub fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         let mut least = (1.0, u32::MAX);
         let mut open = vec![(0, 0, self.leaves.len())];
@@ -169,8 +169,8 @@ impl KdTree {
     }
 }
 
-/// The values of all points, by those that are known: of the others that of the nearest one. Nothing if none
-/// is known.
+/// Values of all points, of which some are known: the others get that of the nearest known one. `None` if
+/// none is known.
 pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Option<Vec<T>> {
     let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
     if known.is_empty() {
@@ -219,10 +219,10 @@ impl Leaf {
         (0..LEAF).map(point).filter(|(_, index)| *index != u32::MAX)
     }
 
-    /// Appends those of its points that are no farther than a squared distance from a point.
+    /// Appends those points of the leaf that are no farther than a squared distance from a point.
     #[inline(always)]
     fn gather(&self, p: Vec3, most: f32, found: &mut Vec<Found>) {
-        // Without a branch for each, as which ones they are cannot be foretold.
+        // Points are chosen without a branch for each, as which ones they are cannot be foretold.
         let (room, mut count) = (found.len(), 0);
         found.resize(room + LEAF, NOTHING);
         for (distance, index) in self.distances(p).into_iter().zip(self.index) {
@@ -248,7 +248,7 @@ impl PointBox {
         points.fold(nothing, |all, p| Self { min: all.min.min(p), max: all.max.max(p) })
     }
 
-    /// Squared distance of another one: rounded as those of the points in both are, so that it is never
+    /// Squared distance of another box: rounded as those of the points in both are, so that it is never
     /// greater.
     pub(super) fn gap_squared(&self, other: &Self) -> f32 {
         let d = (self.min - other.max).max(other.min - self.max).max(Vec3::ZERO);
@@ -274,7 +274,7 @@ struct TreeSearch<'a> {
 }
 
 impl TreeSearch<'_> {
-    /// Looks for nearer ones below a node of so many leaves, of which this is the first.
+    /// Looks for nearer points below a node of `leaves` leaves, of which `first` is the first.
     fn visit(&mut self, node: usize, first: usize, leaves: usize) {
         if leaves == 1 {
             return self.look_at(&self.tree.leaves[first]);

@@ -1,5 +1,5 @@
-//! What is kept of the cells beside P_S, so that a refinement reads no more of the model than it has to and
-//! goes on where the trees stopped (paper §6): where in the stream each cell is, and its VS-Tree down to the
+//! Cells that are kept beside P_S, so that a refinement reads no more of the model than it has to and goes on
+//! where the trees stopped (paper §6): the ranges of each cell in the stream, and its VS-Tree down to the
 //! samples.
 //!
 //! The file begins with eight letters and a version, and ends with a checksum of all before it.
@@ -22,7 +22,7 @@ const WITHOUT_FACES: u32 = 2;
 pub struct KeptCells {
     /// log₂ of the cells' edge length, in the model's unit.
     pub level: i32,
-    /// Whether it is known where the faces of the cells are.
+    /// Whether the ranges of the cells' faces are known.
     pub knows_faces: bool,
     /// The cells in the order in which the stream meets them.
     pub cells: Vec<KeptCell>,
@@ -35,7 +35,7 @@ pub struct KeptCell {
     pub key: CellKey,
     /// Number of vertices.
     pub vertices: u64,
-    /// Indices of the vertices among which all of them are; ascending.
+    /// Ranges of indices in the model among which all of the cell's vertices are; ascending.
     pub ranges: Vec<Range<u64>>,
     /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of
     /// their reader ([`FaceMark`](simod_model::FaceMark)) to another.
@@ -74,14 +74,14 @@ impl CutTree {
         ends
     }
 
-    /// For each node, whether a refinement made it, or split it.
+    /// Whether a refinement made each node, or split it.
     pub fn is_grown(&self) -> Vec<bool> {
         let (ends, mut is_grown) = (self.ends(), vec![false; self.children.len()]);
         self.grown.iter().for_each(|at| is_grown[*at as usize..ends[*at as usize]].fill(true));
         is_grown
     }
 
-    /// What is wrong with a tree that was read, of a model of so many samples; nothing, mostly.
+    /// Defect of a tree that was read, of a model of so many samples; `None`, mostly.
     pub(super) fn defect(&self, samples: usize) -> Option<&'static str> {
         let mut missing = 1usize;
         for children in &self.children {
@@ -136,8 +136,8 @@ impl KeptCells {
     }
 
     /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a
-    /// file of so many bytes, and of so many samples, of which no cell has those that are parted: a file that
-    /// is whole may still lie.
+    /// file of so many bytes, and of so many samples, of which no cell has those that are parted: cells of a
+    /// file that is whole may still be of another model.
     ///
     /// # Errors
     /// The cells are those of another model.
@@ -177,7 +177,7 @@ impl KeptCells {
     }
 }
 
-/// Whether these ascend, and end before an end.
+/// Whether ranges ascend, and end before `end`.
 fn are_ranges(ranges: &[Range<u64>], end: u64) -> bool {
     ranges.iter().all(|r| r.start < r.end && r.end <= end)
         && ranges.windows(2).all(|w| w[0].end <= w[1].start)

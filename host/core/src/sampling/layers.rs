@@ -12,16 +12,16 @@ use super::cluster::{Covariance, Element, Moments};
 use super::random::mix;
 use crate::geometry::{solve_positive_definite, symmetric_eigen};
 
-/// Fewer elements than this do not make two layers.
+/// Least number of elements that make two layers.
 const LEAST: usize = 24;
 
 /// Elements that heights are taken of, at most.
 const MOST: usize = 512;
 
-/// Each of two layers has at least this part of the elements.
+/// Divisor of the number of elements: each of two layers has at least this part of them.
 const LEAST_PART: usize = 8;
 
-/// Layers lie at least so many times farther apart than points in them: closer ones are a rough surface.
+/// Least ratio of the distance of layers to that of points in them: closer ones are a rough surface.
 const APART: f64 = 1.5;
 
 /// Part of the variance of the heights that the two layers explain; of heights that are spread evenly they
@@ -36,21 +36,21 @@ const LEAST_DEVIATION: f64 = 0.33;
 /// own extent (rms): 0.29 for a disc of a sphere.
 const BENT: f64 = 0.35;
 
-/// Part of a cluster's lesser width below which nothing is looked for: where it bends, its parts will tell
-/// better.
+/// Thickness, as a part of a cluster's lesser width, below which no layers are looked for: a cluster that
+/// bends is told better by its parts.
 const THIN: f64 = 1.0 / 16.0;
 
 /// Strength of the ridge that holds the quadratic surface to a plane, relative to the number of elements.
 const RIDGE: f64 = 1e-6;
 
-/// The height of elements with normals along the mean of these, less what the bend of a smooth patch explains
-/// (standard deviation).
+/// Height of elements with normals along the mean of these, less that which the bend of a smooth patch
+/// explains (standard deviation).
 fn thickness(m: &Moments, covariance: DMat3) -> f64 {
     let (normal, bent) = (m.mean_normal(), BENT * m.deviation() * m.spread());
     (normal.dot(covariance * normal) - bent * bent).max(0.0).sqrt()
 }
 
-/// Two layers: where they are parted.
+/// Two layers, and the height at which they are parted.
 pub struct Layers {
     mean: Vec3,
     axes: [Vec3; 3],
@@ -67,7 +67,7 @@ impl Layers {
         }
         let (covariance, least) = (covariance.matrix, covariance.least());
         let [thin, width, length] = deviations(covariance, least);
-        // Mostly it ends here.
+        // Most clusters have no layers, and end here.
         let thickness = if m.has_normals() { thickness(m, covariance) } else { thin };
         // An evenly filled rectangle of these deviations; half of the elements in it.
         let area = 12.0 * width * length;
@@ -154,8 +154,8 @@ fn quadratic(places: &[[f32; 3]]) -> Option<[f32; 6]> {
     solve_positive_definite(a, b).map(|x| x.map(|x| x.x as f32))
 }
 
-/// For ascending heights: where two heaps of them part, how far the means of these are apart, and which part
-/// of the variance that explains.
+/// Height between two heaps of ascending heights, the distance of the heaps' means, and the part of the
+/// variance that the heaps explain.
 fn two_heaps(heights: &[f32]) -> Option<(f32, f64, f64)> {
     let n = heights.len() as f64;
     let sum = |heights: &[f32]| heights.iter().map(|h| f64::from(*h)).sum::<f64>();
@@ -224,7 +224,7 @@ mod tests {
                 // Near the corners a sheet that bends is no quadratic surface.
                 prop_assert!(wrong * 50 <= vertices.len(), "{wrong} of {count}");
             } else {
-                // Where they bend by as much as they are apart, their parts will tell.
+                // Layers that bend by as much as they are apart are told by their parts.
                 prop_assert!(bend.abs() > 0.2 || gap < 0.04, "{gap} of {count}");
             }
         }
@@ -262,7 +262,7 @@ mod tests {
 
     #[test]
     fn heights_in_steps_are_no_layers() {
-        // As scanners round them: steps that are smaller than the distance of the points.
+        // Points are rounded as scanners do: by steps that are smaller than the distance of the points.
         for normal in [false, true] {
             let vertices = sheet(400, 0.0, |i| (0.02 * noise(i) / 0.02).round() * 0.02, normal);
             assert!(layers(&vertices).is_none());

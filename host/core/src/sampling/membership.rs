@@ -25,7 +25,7 @@ const BUFFER: usize = 1 << 16;
 /// Positions written at a time.
 const POSITIONS: usize = 1 << 14;
 
-/// Files of so many numbers: items and later samples, and leaves.
+/// Number of files with a number for each vertex: of items and later samples, and of leaves.
 const FILES: u64 = 2;
 
 /// Samples before and behind the last one, among which the next is looked for first: a few cells have as
@@ -47,22 +47,22 @@ pub struct Membership {
     items: Scratch,
     buffer: Vec<u32>,
     written: u64,
-    /// The number of each list of vertices, and how many vertices come before it.
+    /// Number of each list of vertices, and the number of vertices before the list.
     lists: Vec<(u32, u64)>,
     positions: Option<Positions>,
     twins: Option<Twins>,
 }
 
-/// What is to be known of the vertices, beside their samples.
+/// Choice of what is recorded of the vertices, beside their samples.
 #[derive(Clone, Copy)]
 pub struct Noted {
-    /// The positions of the vertices.
+    /// Whether the positions of the vertices are recorded.
     pub positions: bool,
-    /// Vertices at the same position, as far as [`Twins`] finds them.
+    /// Whether vertices at the same position are, as far as [`Twins`] finds them.
     pub twins: bool,
 }
 
-/// Where each vertex is, local coordinates.
+/// File of each vertex's position, local coordinates.
 struct Positions {
     file: Scratch,
     buffer: Vec<Vec3>,
@@ -72,15 +72,15 @@ struct Positions {
 /// The leaf of each item.
 pub struct Leaves {
     file: Scratch,
-    /// Where each cell's items and leaves begin.
+    /// First number of each cell's items, and of its leaves.
     starts: Vec<u32>,
 }
 
 impl Membership {
-    /// Most vertices: beyond it, nothing can refer to them.
+    /// Largest number of vertices: faces cannot refer to more.
     pub const MAX_VERTICES: u64 = NONE as u64;
 
-    /// A table without members yet, of a model of which so many vertices come. The files go to `folder`.
+    /// Table without members yet, of a model of which `coming` vertices come. The files go to `folder`.
     ///
     /// # Errors
     /// The files cannot be made, or the disk has no room for them.
@@ -105,12 +105,12 @@ impl Membership {
         })
     }
 
-    /// For the threads that cluster.
+    /// Leaves of the items, for the threads that cluster.
     pub fn leaves(&self) -> Arc<Leaves> {
         self.leaves.clone()
     }
 
-    /// The next vertices are at these places, in the model's coordinates: before they are
+    /// Looks for twins of the next vertices, at these positions in the model's coordinates: before they are
     /// [pushed](Self::push).
     ///
     /// # Errors
@@ -202,7 +202,7 @@ impl Membership {
     }
 }
 
-/// Where the items of each cell begin, and its leaves.
+/// First number of each cell's items, and of its leaves.
 pub fn starts(grid: &Grid) -> Vec<u32> {
     let mut next = 0u32;
     let start = |record: &CellRecord| {
@@ -215,7 +215,7 @@ pub fn starts(grid: &Grid) -> Vec<u32> {
 
 /// Finds samples by leaves.
 pub struct LeafSamples<'a> {
-    /// From which leaf on leaves belong to which sample, ascending.
+    /// First leaf of each sample's leaves, and the sample, ascending.
     starts: &'a [(u32, u32)],
     /// The leaves from the first to before the second are of the third.
     from: u32,
@@ -225,7 +225,7 @@ pub struct LeafSamples<'a> {
 }
 
 impl<'a> LeafSamples<'a> {
-    /// By these starts.
+    /// Table of these starts.
     pub fn new(starts: &'a [(u32, u32)]) -> Self {
         Self { starts, from: 0, to: 0, sample: NONE, last: 0 }
     }
@@ -297,7 +297,7 @@ pub struct SampleOf {
 }
 
 impl SampleOf {
-    /// The samples of all vertices, by a file of them.
+    /// Samples of all vertices, from a file of them.
     pub fn of_all(samples: MapMut) -> Self {
         Self { samples, positions: None, twins: None }
     }

@@ -87,21 +87,21 @@ use placement::{Placed, Planes};
 pub use target::Target;
 use triangles::{Triangles, Wanted};
 
-/// How often a coarser cut is looked for that puts no sheets together.
+/// Most searches for a coarser cut that puts no sheets together.
 const COARSER_ROUNDS: usize = 4;
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
 /// [`Target::Samples`] takes some more.
 pub const LEAST_MEMORY: u64 = 32 << 20;
 
-/// Most memory for groups where there is no limit: without one, the result does not depend on the machine.
+/// Largest memory for groups where there is no limit: without one, the result does not depend on the machine.
 const GROUPS_AT_EASE: u64 = 256 << 20;
 
 /// Least memory for samples of open cells.
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
-/// Most of it where there is no limit, for few cells and for many, and for each cell. More saves no time:
-/// what is spilled goes to the page cache first, and what is not is seldom in the processor's caches.
+/// Largest memory for open cells where there is no limit, for few cells and for many, and for each cell. More
+/// saves no time: spilled items go to the page cache first, and others are seldom in the processor's caches.
 const CELLS_AT_EASE: RangeInclusive<u64> = 24 << 20..=64 << 20;
 const CELL_AT_EASE: u64 = 4 << 10;
 
@@ -110,7 +110,7 @@ impl Sampling {
         self.memory_limit.unwrap_or_else(|| (memory::of_machine() / 4).min(2 << 30))
     }
 
-    /// Part of the memory limit that is for the clusters: what a target takes, or half of the limit.
+    /// Part of the memory limit that is for the clusters: those of a target, or half of the limit.
     fn memory_for_clusters(&self) -> u64 {
         match self.target {
             Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
@@ -118,7 +118,7 @@ impl Sampling {
         }
     }
 
-    /// What is left of the memory limit for the samples of open cells, after all else.
+    /// Part of the memory limit that is left for the items of open cells, after all else.
     fn memory_for_cells(&self, grid: &Grid) -> u64 {
         let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
         let largest = largest.saturating_mul(size_of::<cluster::Vertex>() as u64);
@@ -127,7 +127,7 @@ impl Sampling {
             .saturating_add(512 * grid.keys.len() as u64)
             .saturating_add(finalization::work_memory(largest));
         let left = self.limit().saturating_sub(taken);
-        // A complete cell is copied out of what is held.
+        // A complete cell is copied out of the open ones.
         let left = left - largest.min(left / 2);
         let at_ease = CELL_AT_EASE.saturating_mul(grid.keys.len() as u64);
         let at_ease = at_ease.clamp(*CELLS_AT_EASE.start(), *CELLS_AT_EASE.end());
@@ -188,10 +188,10 @@ fn sample_kept(
     prepared.complete(found)
 }
 
-/// What pass 2 and all that follows it go by.
+/// Inputs of pass 2 and of all that follows it.
 pub(crate) struct SamplingPass<'a> {
     model: &'a dyn Model,
-    /// What was asked for, as it comes to for the model.
+    /// Options, resolved for the model.
     sampling: Sampling,
     grid: Grid,
     non_finite: NonFinite,
@@ -202,7 +202,7 @@ pub(crate) struct SamplingPass<'a> {
     /// Memory for the vertices of open cells, and for groups of them.
     memory: u64,
     for_groups: u64,
-    /// Whether the faces tell anything.
+    /// Whether the model has faces that can tell of its samples.
     reads_faces: bool,
     picking: Option<Picking>,
     opaque: Option<Opaque>,
@@ -210,12 +210,12 @@ pub(crate) struct SamplingPass<'a> {
     progress: &'a dyn Progress,
 }
 
-/// What pass 2 has found.
+/// Findings of pass 2.
 pub(crate) struct ClusteredStream {
     cut: cut::Cut,
     fingerprint: String,
     jumps: u64,
-    /// Where in the stream each cell's vertices are.
+    /// Ranges of the stream with each cell's vertices.
     ranges: Vec<Vec<Range<u64>>>,
     membership: Option<Membership>,
     picked: Option<Picked>,
@@ -272,17 +272,17 @@ fn check_extent(model: &dyn Model, grid: &Grid) -> Result<()> {
     ))
 }
 
-/// The grouping that is done, never [`Grouping::Automatic`], and the bytes that groups may take, where cells
-/// have so much `memory`.
+/// Grouping that is done, never [`Grouping::Automatic`], and the bytes that groups may take, where cells have
+/// so much `memory`.
 fn resolve_grouping(sampling: &Sampling, grid: &Grid, frame: &Frame, memory: u64) -> (Grouping, u64) {
-    // A group is as large wherever it is: finer vertices would be lost in it.
+    // Groups are as large everywhere: finer vertices would be lost in them.
     let grouping = match (sampling.grouping, sampling.by) {
         (Grouping::Automatic, By::Vertices) => Grouping::Never,
         (grouping, _) => grouping,
     };
     let for_groups = match (sampling.memory_limit, sampling.grouping) {
         (Some(_), _) => memory,
-        // Not by the machine's memory, so that the samples do not depend on it …
+        // The machine's memory does not count, so that the samples do not depend on it …
         (None, Grouping::Automatic) => GROUPS_AT_EASE,
         // … and none other than asked for.
         (None, _) => u64::MAX,
@@ -339,20 +339,20 @@ impl<'a> SamplingPass<'a> {
         })
     }
 
-    /// Whether it shall be known which cluster each vertex belongs to.
+    /// Whether the cluster of each vertex is recorded.
     fn with_members(&self) -> bool {
         let Sampling { placement, skip, .. } = &self.sampling;
         self.reads_faces && are_told(*placement, skip)
     }
 
-    /// Most clusters that may be kept if there is no target.
+    /// Largest number of clusters that may be kept if there is no target.
     fn most(&self) -> usize {
         let most = self.sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE;
         usize::try_from(most).unwrap_or(usize::MAX)
     }
 
-    /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be
-    /// some; `None` if these find no room.
+    /// Streams the vertices and clusters the cells of a job, in groups where there are to be some; `None` if
+    /// these find no room.
     fn stream(
         &self,
         job: StreamJob<'_>,
@@ -434,13 +434,13 @@ impl<'a> SamplingPass<'a> {
         Err(Error::internal("the samples are fewer than was foreseen"))
     }
 
-    /// How sheets are parted, of cells whose vertices are in these ranges.
+    /// Inputs by which sheets are parted, for cells whose vertices are in these ranges.
     fn parting<'b>(&'b self, ranges: &'b [Vec<Range<u64>>]) -> Parting<'b> {
         let Self { model, frame, folder, progress, .. } = *self;
         Parting { model, ranges, frame, folder, progress }
     }
 
-    /// P_S, of what pass 2 has found.
+    /// Sampled model of the findings of pass 2.
     fn complete(self, mut found: ClusteredStream) -> Result<SampledModel> {
         let mut reindexed = FaceResult::new(std::mem::take(&mut found.cut));
         let sample_of = match found.membership.take() {
@@ -558,7 +558,7 @@ pub fn count(
     counted::count(model, &counting(model, sampling)?, target, progress)
 }
 
-/// What counts of a model belong to.
+/// Key of the model and the options that counts belong to.
 fn counting(model: &dyn Model, sampling: &Sampling) -> Result<CountKey> {
     let info = model.info();
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
@@ -566,7 +566,7 @@ fn counting(model: &dyn Model, sampling: &Sampling) -> Result<CountKey> {
     Ok(CountKey { model: [info.bytes, info.vertices], resolution, min_opacity })
 }
 
-/// How the faces are read.
+/// Inputs by which the faces are read.
 struct Read<'a> {
     sampling: &'a Sampling,
     /// The error bound, local units, if that is the target.
@@ -578,11 +578,11 @@ struct Read<'a> {
 struct FaceResult {
     cut: cut::Cut,
     triangles: Triangles,
-    /// Where the faces of each cell are.
+    /// Ranges of the file with the faces of each cell.
     faces: Option<Vec<Vec<Range<u64>>>>,
-    /// How clusters of several sheets were parted.
+    /// Clusters as they were parted by sheets.
     parted: Option<Parted>,
-    /// Where the faces place the samples.
+    /// Positions in which the faces place the samples.
     placed: Option<Vec<Placed>>,
 }
 
@@ -610,8 +610,8 @@ impl FaceResult {
         self.fit(read, sample_of, vertices)
     }
 
-    /// Finds where sheets meet, and parts the clusters that hold several; which are others than before then.
-    /// `welded` says that what is at one place is joined already.
+    /// Finds where sheets meet, and parts the clusters that hold several; these clusters are others than
+    /// before then. `welded` says that vertices at one place are joined already.
     fn part_sheets(
         &mut self,
         read: &Read<'_>,
@@ -642,7 +642,7 @@ impl FaceResult {
         Ok(changed)
     }
 
-    /// Makes the clusters larger, about so many: which one each of them becomes.
+    /// Makes the clusters larger, about `fewer` of them; returns the new cluster of each.
     fn merge_clusters(&mut self, fewer: usize, islands: &mut Islands, sample_of: &mut [u32]) -> Vec<u32> {
         let (cut, becomes) = self.cut.coarser(fewer, |_| false);
         self.cut = cut;
@@ -653,7 +653,7 @@ impl FaceResult {
         becomes
     }
 
-    /// A coarser cut, and which sample has each cluster: those of several sheets stay, and so do those that
+    /// Coarser cut, and the sample that has each cluster: those of several sheets stay, and so do those that
     /// would be of one sample though they are on several.
     fn coarser_by_sheets(&self, target: usize, parts: &ClusterParts) -> (cut::Cut, Vec<u32>) {
         let mut stay = vec![false; self.cut.samples()];
@@ -705,7 +705,7 @@ impl FaceResult {
         if self.triangles.of_vertices || !finds_triangles(sampling) || self.triangles.tangled {
             self.triangles.put(sample_of);
         } else {
-            // There were too many, and samples were put for them.
+            // The triangles of vertices were too many, and those of samples were put for them.
             let wanted = Wanted { triangles: true, ..Wanted::default() };
             self.triangles =
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
@@ -718,9 +718,8 @@ impl FaceResult {
         Ok((parted, changed))
     }
 
-    /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
-    /// and where samples are by the faces, if these place them: if it is known where the vertices are, in
-    /// local coordinates.
+    /// Finds the triangles; the ranges of each cell's faces, if they are wanted; islands; and the positions
+    /// of samples by the faces, if the local positions of the vertices are given, as these place them.
     fn read_faces(
         &mut self,
         read: &Read<'_>,
@@ -752,7 +751,7 @@ impl FaceResult {
         Ok(())
     }
 
-    /// Where the samples are by the planes around them.
+    /// Positions of the samples by the planes around them.
     fn place(&self, read: &Read<'_>, planes: Planes<'_>) -> Vec<Placed> {
         // The promise of an error bound is kept.
         let slack = matches!(read.sampling.target, Target::Error(_))
@@ -760,8 +759,8 @@ impl FaceResult {
         planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
     }
 
-    /// Places those samples by the faces whose clusters have changed, if they were. Only faces of cells in
-    /// which clusters have changed are read, if it is known where they are.
+    /// Places those samples anew whose clusters have changed, if the faces have placed the samples. Only
+    /// faces of cells in which clusters have changed are read, if their ranges are known.
     fn place_again(
         &mut self,
         read: &Read<'_>,
@@ -805,7 +804,8 @@ impl FaceResult {
             let info = read.parting.model.info();
             let at_one_place = (2 * info.vertices / info.faces.max(1)).clamp(1, 6) as u32;
             let members = VertexMembers { vertices, sample_of, at_one_place };
-            // Where sheets meet, samples that come nearer to their own get into what is on the other side.
+            // Samples near which sheets meet are held: nearer to their own vertices they would get into the
+            // other side.
             let held = match &self.parted {
                 Some(parted) if !parted.seeds.is_empty() => {
                     touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?
@@ -822,7 +822,7 @@ impl FaceResult {
     }
 }
 
-/// How many samples are wanted, if that is the target.
+/// Number of samples that are wanted, if that is the target.
 fn samples_wanted(sampling: &Sampling) -> Option<usize> {
     match sampling.target {
         Target::Samples(n) => Some(usize::try_from(n).unwrap_or(usize::MAX)),
@@ -835,7 +835,7 @@ fn finds_triangles(sampling: &Sampling) -> bool {
     !sampling.skip.triangles || sampling.placement == Placement::Faces
 }
 
-/// Whether it is kept where the faces of each cell are.
+/// Whether the ranges of each cell's faces are kept.
 fn keeps_faces(sampling: &Sampling) -> bool {
     !sampling.skip.triangles && !sampling.skip.cells
 }
@@ -850,13 +850,13 @@ fn are_told(placement: Placement, skip: &Skip) -> bool {
     placement == Placement::Faces || !skip.sheets || !skip.triangles
 }
 
-/// Whether faces share hardly any vertices, so many of which are known to be at the same place as others:
-/// what hangs together is told by the positions of all then.
+/// Whether faces share hardly any vertices, `twins` of which are known to be at the same place as others:
+/// islands are told by the positions of all vertices then.
 fn are_apart(info: &ModelInfo, twins: u64) -> bool {
     (info.vertices - twins) / 2 > info.faces
 }
 
-/// The islands of so many clusters before the faces are read, and whether all that is at one place is joined.
+/// Islands of so many clusters before the faces are read, and whether all vertices at one place are joined.
 fn begin_islands(
     parting: &Parting<'_>,
     twins: FoundTwins,
@@ -876,7 +876,7 @@ const NEAR_FACES: u64 = 4 << 10;
 
 /// The clusters that differ from those before some were parted.
 struct ClusterChanges {
-    /// For each sample the one that it was, if its cluster is the same.
+    /// Former number of each sample, if its cluster is the same.
     former: Vec<Option<u32>>,
 }
 
@@ -903,7 +903,7 @@ impl ClusterChanges {
     }
 }
 
-/// What is kept of the cells.
+/// Cells with their ranges and trees, to be kept.
 fn keep(
     grid: &Grid,
     ranges: Vec<Vec<Range<u64>>>,

@@ -1,10 +1,10 @@
 //! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves,
 //! which are looked up once for all of them.
 //!
-//! How far the right number reaches is guessed by the leaf before, whose points are mostly near. Where it
-//! reaches further, one point is looked up by itself: what is nearest to another reaches no further than that
-//! and the way between both. Within it, how far they reach is guessed by the point before, and counted: so
-//! few are sorted that are not wanted.
+//! The distance of the last of the neighbours that are wanted is guessed by the leaf before, whose points are
+//! mostly near. Where it is larger, one point is looked up by itself: the neighbours of another point are no
+//! farther than that and the way between both. Within a leaf, the distance is guessed by the point before,
+//! and counted: so few points are sorted that are not wanted.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -16,23 +16,23 @@ use simod_model::memory;
 use super::kd_tree::{Found, KdTree, LEAF, Leaf, PointBox};
 use crate::counting_sort;
 
-/// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap,
-/// its points are looked up one by one.
+/// Largest number of leaves that are looked at together. Where a leaf is near more, as one of few points
+/// beside a heap, its points are looked up one by one.
 const MOST_LEAVES: usize = 128;
 
-/// A guess that brings up to so many more than are wanted is good enough.
+/// Number of points more than are wanted up to which a guess is good enough.
 const SPARE: usize = 12;
 
-/// Guesses, before what is sure is taken.
+/// Number of guesses, before the sure distance is taken.
 const GUESSES: usize = 3;
 
-/// Squares of distances are expected to be no more than so many times those of the leaf before.
+/// Expected ratio of squared distances to those of the leaf before, at most.
 const MORE: f32 = 1.4;
 
 /// Makes up for the rounding of sums of distances.
 const SURELY: f32 = 1.0001;
 
-/// Makes up for that of squares so small that they have hardly any digits.
+/// Addend that makes up for the rounding of squares so small that they have hardly any digits.
 const LEAST: f32 = 1e-36;
 
 impl KdTree {
@@ -66,15 +66,14 @@ impl KdTree {
     }
 }
 
-/// What a thread looks up with.
+/// Buffers with which a thread looks up the neighbours of leaves.
 struct Batch<'a> {
     tree: &'a KdTree,
     k: usize,
-    /// The squared distance of the last neighbour of the last point, and the largest of those of the last
-    /// leaf.
+    /// Squared distance of the last neighbour of the last point, and the largest of those of the last leaf.
     last: f32,
     farthest: f32,
-    /// Nodes that are still to be looked into: each with its first leaf and how many there are.
+    /// Nodes that are still to be looked into: each with its first leaf and the number of its leaves.
     open: Vec<(usize, usize, usize)>,
     /// The leaves that are near.
     near: Vec<u32>,
@@ -218,7 +217,7 @@ fn least<S: Simd>(simd: S, distances: &[f32; LEAF]) -> f32 {
     simd.reduce_min_f32s(least)
 }
 
-/// How many distances are within a limit.
+/// Number of distances that are within a limit.
 #[inline(always)]
 fn count<S: Simd>(simd: S, distances: &[[f32; LEAF]], limit: f32) -> usize {
     let (limit, one, none) = (simd.splat_f32s(limit), simd.splat_f32s(1.0), simd.splat_f32s(0.0));

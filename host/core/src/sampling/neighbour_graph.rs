@@ -27,7 +27,7 @@ impl NeighbourGraph {
         Self { k, flat: Arc::new(flat) }
     }
 
-    /// Whether it is of so many samples: one that was read may be anything.
+    /// Whether the graph is of so many samples: one that was read from a file may be damaged.
     pub(crate) fn is_valid(&self, samples: usize) -> bool {
         self.k < samples
             && self.flat.len() == self.k * samples
@@ -45,7 +45,7 @@ impl NeighbourGraph {
         &self.flat
     }
 
-    /// How many neighbours each sample has: [`NEIGHBOURS`](super::NEIGHBOURS), or fewer in a set of fewer
+    /// Number of neighbours of each sample: [`NEIGHBOURS`](super::NEIGHBOURS), or fewer in a set of fewer
     /// samples.
     pub fn k(&self) -> usize {
         self.k

@@ -18,8 +18,8 @@ const TOGETHER: usize = 4096;
 /// Neighbours along which the orientation spreads.
 const ORIENT_NEIGHBOURS: usize = 8;
 
-/// All normals, where only some are known (the others are zero, or all if there are none). All are of unit
-/// length. `graph` has [`NEIGHBOURS`] of each sample or more, if there are as many.
+/// Normals of all samples, where only some are known (the others are zero, or all if there are none). All are
+/// of unit length. `graph` has [`NEIGHBOURS`] of each sample or more, if there are as many.
 ///
 /// Known normals spread their orientation to those filled in. A part without any is oriented so that the
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
@@ -74,7 +74,7 @@ pub fn plane_normals<'a>(
     Arch::new().dispatch(PlaneNormals { positions, begin, neighbours, normals });
 }
 
-/// What [`plane_normals`] does, in the processor's vectors.
+/// Inputs and result of [`plane_normals`], which are computed in the processor's vectors.
 struct PlaneNormals<'a, F> {
     positions: &'a [Vec3],
     begin: usize,
@@ -103,7 +103,7 @@ impl<'a, F: Fn(usize) -> &'a [u32]> WithSimd for PlaneNormals<'_, F> {
     }
 }
 
-/// The direction of an axis, or any, if it has none.
+/// Unit vector along an axis; any, if the axis has no direction.
 pub fn direction(axis: DVec3) -> Vec3 {
     axis.as_vec3().try_normalize().unwrap_or(Vec3::Z)
 }
@@ -111,7 +111,7 @@ pub fn direction(axis: DVec3) -> Vec3 {
 /// An edge between two samples: the bits of its cost, which order as the cost does, and its ends.
 type Edge = (u32, u32, u32);
 
-/// Parts of a list, of so many elements each.
+/// Parts of a list, each of the number of elements in `counts`.
 fn rooms<'a, T>(mut list: &'a mut [T], counts: &[usize]) -> Vec<&'a mut [T]> {
     let mut rooms = Vec::with_capacity(counts.len());
     for count in counts {
@@ -147,7 +147,7 @@ fn edges(positions: &[Vec3], graph: &NeighbourGraph, normals: &[Vec3], open: &[b
 /// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
 fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
     let mut edges = edges(positions, graph, normals, open);
-    // All that look a way which is known are one part from the beginning.
+    // Samples whose normals are known are one part from the beginning.
     let mut parts = OrientedParts::new(positions.len());
     let known = open.iter().position(|open| !open);
     if let Some(known) = known {
@@ -165,7 +165,7 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
         edges.retain(|(_, i, j)| parts.find(*i as usize).0 != parts.find(*j as usize).0);
     }
 
-    // The sample of each part that tells how all of it looks: a known one, or the highest.
+    // Sample of each part whose normal tells how all of the part looks: a known one, or the highest.
     let mut telling: Vec<Option<u32>> = vec![None; positions.len()];
     for i in 0..positions.len() {
         let slot = &mut telling[parts.find(i).0];
@@ -185,9 +185,9 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
 
 /// A partition of the samples, with the sides that their normals look to: disjoint sets as trees.
 struct OrientedParts {
-    /// The sample above each one, or itself: the root stands for the part.
+    /// Sample above each one in the trees, or the sample itself: the root stands for the part.
     above: Vec<u32>,
-    /// Whether its normal has to be turned to look the same way as that of the one above.
+    /// Whether a sample's normal has to be turned to look the same way as that of the sample above.
     turned: Vec<bool>,
 }
 
@@ -212,7 +212,7 @@ impl OrientedParts {
         (i, turned)
     }
 
-    /// Makes one part of those of two samples, unless they are. `turned` if they look opposite ways.
+    /// Joins the parts of two samples, unless these are of one. `turned` if they look opposite ways.
     fn join(&mut self, i: usize, j: usize, turned: bool) {
         let ((i, i_turned), (j, j_turned)) = (self.find(i), self.find(j));
         if i != j {

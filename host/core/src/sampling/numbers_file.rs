@@ -1,7 +1,7 @@
-//! Lists of numbers in a file: what units of work leave each other of vertices and faces.
+//! Lists of numbers in a file, which units of work leave each other of vertices and faces.
 //!
-//! Each list is in blocks, which may lie among those of the others; where they are, and their hashes, is told
-//! at the file's end.
+//! Each list is in blocks, which may lie among those of the others; a table of their offsets and hashes is at
+//! the file's end.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -16,16 +16,16 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::clustered_file::refused;
 use crate::sealed::{read_end, seal};
 
-/// What the end of a file begins with.
+/// First letters of the end of a file.
 const LETTERS: &[u8; 8] = b"simodnum";
 
 const VERSION: u32 = 1;
 
-/// Bytes of all lists together that are collected before they are written, and of one.
+/// Bytes of all lists together that are collected before they are written, and of one list.
 const BUFFERS: usize = 32 << 20;
 const BUFFER: Range<usize> = 4 << 10..256 << 10;
 
-/// Most bytes of the table at a file's end.
+/// Largest number of bytes of the table at a file's end.
 const LONGEST: u64 = 4 << 30;
 
 const BYTES: usize = size_of::<u32>();
@@ -38,10 +38,10 @@ struct NumberBlock {
     hash: u128,
 }
 
-/// What stands at the end of a file.
+/// Table at the end of a file.
 #[derive(Serialize, Deserialize)]
 struct NumberTable {
-    /// What the file is of.
+    /// Key of the content that the file is for.
     key: u128,
     /// The blocks of each list.
     lists: Vec<Vec<NumberBlock>>,
@@ -60,7 +60,7 @@ pub struct NumbersWriter {
 }
 
 impl NumbersWriter {
-    /// Begins a file of so many lists.
+    /// Begins a file of `lists` lists.
     ///
     /// # Errors
     /// The file cannot be made, or another process makes it.
@@ -93,7 +93,7 @@ impl NumbersWriter {
         Ok(())
     }
 
-    /// Writes what is collected of a list, which may go on.
+    /// Writes the numbers that are collected of a list, which may go on.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -128,7 +128,8 @@ pub fn is_there(path: &Path, key: u128) -> bool {
     NumbersFile::open(path, key).is_ok()
 }
 
-/// A file that was written. It is open only while a block is read, as there may be as many of them as units.
+/// File of lists that was written. It is open only while a block is read, as there may be as many of them as
+/// units.
 ///
 /// Memory: 32 bytes for each block.
 pub struct NumbersFile {

@@ -1,6 +1,6 @@
-//! Splats in which nobody sees a surface: floaters, which would take samples from what is seen. They are too
-//! transparent, the more so the larger or the farther off they are than others. They are left out of P_S, as
-//! vertices without a position are, and are deformed like all others.
+//! Splats in which nobody sees a surface: floaters, which would take samples from the visible ones. They are
+//! too transparent, the more so the larger or the farther off they are than others. They are left out of P_S,
+//! as vertices without a position are, and are deformed like all others.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,13 +10,14 @@ use simod_model::{Error, Model, Result, VertexChunk, follow};
 /// Splats of less opacity are left out, where nothing else is asked for.
 pub const LEAST_OPACITY: f64 = 0.1;
 
-/// Splats more than so many times as large as usual, or as far off, need more opacity in proportion.
+/// Ratio of a splat's size to the usual one, or of its distance, above which more opacity is needed in
+/// proportion.
 const UNUSUAL: f64 = 10.0;
 
-/// A splat of so much opacity is part of what is seen, however large and wherever it is.
+/// Opacity from which on a splat is part of the visible surface, however large and wherever it is.
 const SEEN: f64 = 0.5;
 
-/// What is usual is told by splats at so many places of the file, so many at each.
+/// Numbers of places in the file at which splats are read to tell the usual ones, and of splats at each.
 const PLACES: u64 = 64;
 const AT_A_PLACE: u64 = 1024;
 
@@ -33,7 +34,7 @@ pub struct UsualSplat {
 }
 
 impl UsualSplat {
-    /// The medians of some splats, given by position and size; `None` where they do not tell.
+    /// Medians of some splats, given by position and size; `None` if there are none, or a median is zero.
     fn median(splats: &[(DVec3, f64)]) -> Option<Self> {
         let median = |of: &dyn Fn(&(DVec3, f64)) -> f64| {
             let (mut numbers, middle) = (splats.iter().map(of).collect::<Vec<_>>(), splats.len() / 2);
@@ -44,8 +45,8 @@ impl UsualSplat {
         (usual.distance > 0.0 && usual.size > 0.0).then_some(usual)
     }
 
-    /// How many times larger or farther off than what is hardly unusual a splat is; at least one, and one if
-    /// it has no size.
+    /// Factor by which a splat is larger or farther off than one that is hardly unusual; at least 1, and by
+    /// the distance alone if it has no size.
     fn excess(&self, p: DVec3, size: f64) -> f64 {
         (size / (UNUSUAL * self.size)).max(p.distance(self.middle) / (UNUSUAL * self.distance)).max(1.0)
     }
@@ -54,7 +55,7 @@ impl UsualSplat {
 /// The rule by which splats of a model are left out.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Opaque {
-    /// Where among the attributes opacity and logarithms of scales are; discs have two of these.
+    /// Places of the opacity and the logarithms of the scales among the attributes; discs have two scales.
     places: [usize; 4],
     scales: usize,
     /// The least opacity.
@@ -83,18 +84,18 @@ impl Opaque {
         Ok(Some(Self { usual: opaque.find_usual(model)?, ..opaque }))
     }
 
-    /// What splats are compared with.
+    /// Medians of splats, with which others are compared.
     pub(crate) fn usual(&self) -> Option<UsualSplat> {
         self.usual
     }
 
-    /// What is usual in the model.
+    /// Medians of the model's splats.
     ///
     /// # Errors
     /// The file cannot be read.
     fn find_usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
         let info = model.info();
-        // Where reading begins at the first splat always, all are read, and some are taken: files may be
+        // All splats are read, and some are taken, where reading begins at the first one always: files may be
         // sorted.
         let (places, each, step) = match info.random_access && info.vertices > PLACES * AT_A_PLACE {
             true => (PLACES, AT_A_PLACE, 1),
@@ -119,7 +120,8 @@ impl Opaque {
         Ok(UsualSplat::median(&splats.concat()))
     }
 
-    /// Takes the positions from the splats of a chunk that are left out; returns how many of them had one.
+    /// Takes the positions from the splats of a chunk that are left out; returns the number of those that had
+    /// one.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -132,7 +134,7 @@ impl Opaque {
             let is_faint = |usual: UsualSplat| {
                 opacity < seen && opacity < logit(self.least * usual.excess(*p, size(&numbers[1..], i)))
             };
-            // What is no number stays.
+            // A splat whose opacity is no number stays.
             if opacity < least || self.usual.is_some_and(is_faint) {
                 *p = DVec3::NAN;
                 count += 1;
@@ -163,7 +165,7 @@ fn logit(opacity: f64) -> f64 {
     if opacity < 1.0 { (opacity / (1.0 - opacity)).ln() } else { f64::INFINITY }
 }
 
-/// The least opacity of a model's splats, by what was asked for: nothing where there are none.
+/// Least opacity of a model's splats, by the option; `None` where there are no splats, or none is left out.
 ///
 /// # Errors
 /// The opacity asked for is not from 0 to 1, or the model has no splats.

@@ -20,19 +20,19 @@ const SLAB: usize = 256;
 /// End of a chain of blocks.
 const NONE: u32 = u32::MAX;
 
-/// Where the chain of pieces in the file ends.
+/// End of the chain of a cell's pieces in the file.
 const NO_PIECE: u64 = u64::MAX;
 
 /// Bytes that are collected to be written at once.
 const AT_ONCE: usize = 256 << 10;
 
-/// Bytes of a piece's header: where the cell's former piece is, and how many items this one has.
+/// Bytes of a piece's header: the offset of the cell's former piece, and the number of items of this one.
 const HEADER: usize = 16;
 
 /// All open cells.
 ///
 /// Memory: `limit` bytes of blocks, 32 bytes per occupied cell of the grid, and room of as much as 512 KiB
-/// for what is written at once.
+/// for the bytes that are written at once.
 pub struct OpenCells<T> {
     cells: Vec<OpenCell>,
     pool: ItemPool<T>,
@@ -63,14 +63,14 @@ struct ItemPool<T> {
 struct Spill {
     folder: PathBuf,
     file: Option<Arc<Scratch>>,
-    /// Where in the file what is collected will be.
+    /// Offset in the file at which the collected bytes will be written.
     end: u64,
     collected: Vec<u8>,
 }
 
 impl<T: Pod> OpenCells<T> {
-    /// Nothing yet, of so many cells. At most `limit` bytes of items stay in memory (but at least a slab);
-    /// what is more goes to a temporary file in `folder`.
+    /// Empty cells, `cells` of them. At most `limit` bytes of items stay in memory (but at least a slab);
+    /// further items go to a temporary file in `folder`.
     pub fn new(cells: usize, limit: u64, folder: &Path) -> Self {
         let cell = OpenCell { head: NONE, tail: NONE, held: 0, spilled: 0, piece: NO_PIECE };
         let blocks = limit / (BLOCK * size_of::<T>()) as u64;
@@ -87,7 +87,7 @@ impl<T: Pod> OpenCells<T> {
         }
     }
 
-    /// Adds an item to a cell; where it is, until other items are moved to the file.
+    /// Adds an item to a cell; returns the item's place, which holds until other items are moved to the file.
     ///
     /// # Errors
     /// The temporary file cannot be written.
@@ -224,8 +224,8 @@ impl<T: Pod> ItemPool<T> {
 }
 
 impl Spill {
-    /// Begins a piece of so many items behind all others, with a pointer to the cell's former piece; where
-    /// it is.
+    /// Begins a piece of `items` items behind all others, with a pointer to the cell's former piece; returns
+    /// the piece's offset.
     fn begin(&mut self, former: u64, items: u32) -> u64 {
         let piece = self.end + self.collected.len() as u64;
         let header = [former, items.into()].map(u64::to_le);
@@ -239,8 +239,8 @@ impl Spill {
         if self.collected.len() >= AT_ONCE { self.write() } else { Ok(()) }
     }
 
-    /// Writes what is collected: of many cells at once, as a call of the system for each took as long as all
-    /// else.
+    /// Writes the collected bytes: of many cells at once, as a call of the system for each took as long as
+    /// all else.
     fn write(&mut self) -> Result<()> {
         let file = match &self.file {
             Some(file) => file,
@@ -253,12 +253,12 @@ impl Spill {
     }
 }
 
-/// Memory that so many items take; less than what a sum of several could overflow by.
+/// Memory that `count` items take; less than a sum of several could overflow by.
 fn bytes_of<T>(count: u64) -> usize {
     usize::try_from(count).unwrap_or(usize::MAX).saturating_mul(size_of::<T>()).min(usize::MAX / 2)
 }
 
-/// All items of a complete cell: those in memory, and where the others are.
+/// All items of a complete cell: those in memory, and the place of the others in the file.
 pub struct CellItems<T> {
     held: Vec<T>,
     spilled: u64,
@@ -271,13 +271,13 @@ impl<T: Pod> CellItems<T> {
         self.spilled + self.held.len() as u64
     }
 
-    /// Memory that all of them take, also those that are in the file.
+    /// Memory that all items take, also those that are in the file.
     pub fn bytes(&self) -> usize {
         bytes_of::<T>(self.count())
     }
 
-    /// Hands out the items in the order of the stream, in as many parts as it takes for none to have more
-    /// than `limit`, read from the file where they are there.
+    /// Hands out the items in the order of the stream, in the least number of parts of which none has more
+    /// than `limit` items, read from the file where they are there.
     ///
     /// # Errors
     /// The temporary file cannot be read.

@@ -8,21 +8,21 @@ use super::placement::Placement;
 use super::splitting::Splitting;
 use super::target::Target;
 
-/// What sampling is asked for.
+/// Options of sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Sampling {
-    /// How fine P_S shall be.
+    /// Fineness of P_S.
     pub target: Target,
-    /// Most cells of the coarse grid along an axis; by the model's size where not given.
+    /// Largest number of cells of the coarse grid along an axis; by the model's size where not given.
     pub grid: Option<u32>,
     /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
     /// 2 GiB, where not given, of which open cells take 64 MiB at most.
     pub memory_limit: Option<u64>,
     /// The way in which clusters are split.
     pub splitting: Splitting,
-    /// What samples are spread by.
+    /// Measure by which samples are spread.
     pub by: By,
-    /// Whether open cells hold vertices or groups of them.
+    /// Form in which open cells hold their vertices: single ones, or groups of them.
     pub grouping: Grouping,
     /// The way in which samples are placed.
     pub placement: Placement,

@@ -3,8 +3,8 @@
 //! Models*, 2000), held by a small ridge to where its vertices alone have placed it.
 //!
 //! Faces tell where the surface is when normals do not: where there are none, or those of a smoother surface.
-//! Unless it is said what places the samples, some faces at the beginning of the file are compared with the
-//! normals of their corners.
+//! Unless the placement is given, some faces at the beginning of the file are compared with the normals of
+//! their corners.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
 use rayon::prelude::*;
@@ -20,8 +20,8 @@ const RIDGE: f64 = 3e-4;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
-    /// Faces where vertices have no normals, or other ones than those of the surface that the faces are;
-    /// otherwise vertices.
+    /// Placement by faces where vertices have no normals, or other ones than those of the surface that the
+    /// faces are; otherwise by vertices.
     #[default]
     Automatic,
     /// The planes of the faces, where the model has any: they take a pass, and temporary files of at most 20
@@ -33,15 +33,15 @@ pub enum Placement {
 
 /// Triangles at the beginning of the file among which …
 const FIRST: usize = 1 << 16;
-/// … so many pairs of one and the next are compared with the normals at their corners, at most.
+/// … largest number of pairs of one and the next that are compared with the normals at their corners.
 const PAIRS: usize = 512;
 
 /// Vertices between two that are passed over rather than begun anew behind.
 const NEAR: u64 = 256;
 
-/// How much more normals of vertices may differ from those of faces than these from one triangle to the next.
-/// Normals of the surface itself differ 0.4 to 0.9 times as much, and those of a smooth surface below a
-/// relief 1.4 to 2.3 times.
+/// Largest ratio of the difference between normals of vertices and of faces to that of faces from one
+/// triangle to the next. Normals of the surface itself differ 0.4 to 0.9 times as much, and those of a smooth
+/// surface below a relief 1.4 to 2.3 times.
 const MOST_UNLIKE: f64 = 1.15;
 
 /// An angle by which normals may always differ, radians.
@@ -61,7 +61,7 @@ impl Placement {
         }
     }
 
-    /// What it comes to for a model with faces.
+    /// Placement for a model with faces: `Automatic` becomes one of the others.
     ///
     /// Memory: 1 MiB, and a chunk of vertices and one of faces.
     ///
@@ -140,7 +140,7 @@ impl PairVertices {
     }
 }
 
-/// How much the normals of faces differ from those of their corners, and from one face to the next.
+/// Differences of the normals of faces from those of their corners, and from one face to the next.
 #[derive(Default)]
 struct Unlike {
     /// Area of the triangles.
@@ -163,7 +163,7 @@ impl Unlike {
         self.area += area;
         let mean: DVec3 = normals.into_iter().sum();
         if let Some(mean) = mean.try_normalize().filter(|_| !normals.contains(&DVec3::ZERO)) {
-            // Whichever side of the face they are on.
+            // The normals may be on either side of the face.
             self.from_corners.add((2.0 - 2.0 * normal.dot(mean).abs()).max(0.0), area);
         }
         if let Some((corners, last, last_area)) = self.last
@@ -174,8 +174,8 @@ impl Unlike {
         self.last = Some((triangle, normal, area));
     }
 
-    /// Whether there are normals, and nothing tells that they are others than those of the faces: neither all
-    /// faces, nor those without the sharpest edges.
+    /// Whether there are normals of vertices, and nothing tells that they are others than those of the faces:
+    /// neither all faces, nor those without the sharpest edges.
     fn is_little(&mut self) -> bool {
         let known = self.from_corners.area();
         // Hardly a triangle shares a corner with the next.
@@ -218,31 +218,31 @@ impl AngleSquares {
 }
 
 /// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of
-/// the faces that begin at a multiple of this number, whoever reads which of them.
+/// the faces that begin at a multiple of this number, whichever unit reads them.
 pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
 /// Faces that one job looks at.
 pub const FACES_OF_A_JOB: usize = 1 << 12;
 
-/// The planes of the faces around each sample's cluster, summed up.
+/// Planes of the faces around each sample's cluster, summed up.
 ///
 /// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums
 /// 48, and 44 bytes for each of the listed ones, of which a run has three for each face at most. 28 bytes for
 /// each face across borders, of those that were taken at once and had most.
 pub struct Planes<'a> {
-    /// Where the vertices of P_L are, local coordinates.
+    /// Positions of the vertices of P_L, local coordinates.
     vertices: &'a [Vec3],
-    /// Where the samples are by their vertices.
+    /// Positions of the samples by their vertices.
     samples: &'a [Vec3],
-    /// The number of the first of these: those before it stay where they are.
+    /// Number of the first of these samples: those before it stay where they are.
     first: u32,
-    /// Planes of so many samples each, one after the other: each is summed up by one thread at a time, in the
-    /// file's order.
+    /// Planes of `samples_of_a_shard` samples each, one after the other: each is summed up by one thread at a
+    /// time, in the file's order.
     shards: Vec<PlaneShard>,
     samples_of_a_shard: usize,
-    /// What each of the jobs finds in the faces that are taken at once.
+    /// Findings of each job in the faces that are taken at once.
     crossing: Vec<Vec<CrossingFace>>,
-    /// How many faces of a run were taken.
+    /// Number of faces of a run that were taken so far.
     faces: u64,
 }
 
@@ -263,11 +263,11 @@ struct CrossingFace {
     of: [u32; 3],
 }
 
-/// What becomes of the sums of some faces.
+/// Sums of the planes of faces, either added up or listed.
 enum PlaneSumming {
     /// Planes are added up, in double precision.
     Added(Vec<[f64; 10]>),
-    /// Faces are listed for who [adds](Planes::add_listed) them.
+    /// Sums that are listed for who [adds](Planes::add_listed) them.
     Listed(Vec<u32>),
 }
 
@@ -293,9 +293,9 @@ impl Quadric {
 /// A sample that faces have placed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placed {
-    /// Where it is, local coordinates.
+    /// Position of the sample, local coordinates.
     pub at: Vec3,
-    /// How far it may be from where the vertices have placed it.
+    /// Largest distance that the sample may be from where the vertices have placed it.
     pub most: f32,
 }
 
@@ -313,7 +313,7 @@ impl<'a> Planes<'a> {
 
     /// The planes of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
     pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
-        // One shard, as they are listed in the order of the faces.
+        // A listing has one shard, as sums are listed in the order of the faces.
         Self::sharded(vertices, samples, 0, 1, |_| PlaneSumming::Listed(Vec::new()))
     }
 
@@ -402,8 +402,8 @@ impl<'a> Planes<'a> {
         self.faces = end % FACES_OF_A_SUM;
     }
 
-    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
-    /// (rms), and as `most` allows, at most.
+    /// Positions of the samples by the faces. A sample moves at most as far as the corners in its cluster are
+    /// from its former position (rms), and as `most` allows.
     pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
         self.shards.par_iter_mut().for_each(PlaneShard::sum_up);
         let sum = |i: usize| match &self.shards[i / self.samples_of_a_shard].sums {
@@ -412,7 +412,7 @@ impl<'a> Planes<'a> {
         };
         let placed = |(i, sample): (usize, &Vec3)| {
             let moved = sum(i).map(|sum| (least(sum), radius(sum).min(f64::from(most(i)))));
-            // Around some there are no planes.
+            // Some samples have no planes around them.
             match moved.filter(|(way, most)| way.is_finite() && *most > 0.0) {
                 Some((way, most)) => {
                     let at = (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3();
@@ -425,7 +425,7 @@ impl<'a> Planes<'a> {
     }
 }
 
-/// The planes of a shard, and what they are added by.
+/// Planes of a shard, and the samples to which they are added.
 struct ShardPlanes<'a> {
     vertices: &'a [Vec3],
     /// The samples of the shard, and the number of the first of them.
@@ -483,8 +483,8 @@ impl ShardPlanes<'_> {
 }
 
 impl PlaneShard {
-    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed
-    /// up once, as it has nothing then.
+    /// Notes that a sample has its first planes, of which nothing may be left, so that it is met once more:
+    /// it is summed up once, as it has nothing then.
     #[cold]
     #[inline(never)]
     fn meet(&mut self, place: u32) {
@@ -535,10 +535,10 @@ mod tests {
     fn placed(vertices: &[Vec3], faces: &[[u32; 3]], sample: Vec3, most: f32) -> Vec3 {
         let samples = [sample];
         let mut planes = Planes::new(vertices, &samples, 7);
-        // With samples before and behind, which are none of these.
+        // Samples before and behind, which are none of these, are left out.
         planes.take(faces, |_| Some([7, 7, 6]));
         planes.take(faces, |_| Some([6, 8, u32::MAX]));
-        // Inside, it is for no triangle of P_S.
+        // A face inside of a cluster is of no triangle of P_S.
         planes.take(&[[1, 2, 3]; 3], |_| Some([7; 3]));
         planes.place(|_| most)[0].at
     }
@@ -584,7 +584,7 @@ mod tests {
         assert!(far.is_finite(), "{far}");
     }
 
-    /// Sums are of the same faces, whichever unit reads which of them.
+    /// Sums are of the same faces, whichever unit reads them.
     #[test]
     fn ranges_of_faces_add_up_to_the_sums_of_one_reading() {
         let random =

@@ -1,14 +1,15 @@
-//! Where in the stream each cell's vertices are, or its faces: what a refinement has to read again (paper
+//! Ranges of the stream with each cell's vertices, or its faces, which a refinement has to read again (paper
 //! §6).
 //!
 //! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have
-//! the least between them become one. In files whose rows go around the model, it comes back with each row.
+//! the least between them become one. In files whose rows go around the model, the stream comes back with
+//! each row.
 
 use std::ops::Range;
 
 use crate::varint::{self, VarintNumbers};
 
-/// Most bytes of all cells together, but for the least of each: 4 MiB.
+/// Largest number of bytes of all cells together, but for the least of each: 4 MiB.
 const MOST: usize = 4 << 20;
 
 /// Bytes of a cell at most, and at least: some 60 000 ranges, or 4.
@@ -23,12 +24,12 @@ pub struct Ranges {
     most: usize,
 }
 
-/// How a stream goes from cell to cell.
+/// Jumps of a stream from cell to cell.
 #[derive(Clone, Copy, Default)]
 pub struct Jumps {
-    /// The cells in which it begins and ends.
+    /// Cells in which the stream begins and ends.
     pub ends: Option<[u32; 2]>,
-    /// How often it comes from one cell into another.
+    /// Number of times that the stream comes from one cell into another.
     pub count: u64,
 }
 
@@ -72,7 +73,7 @@ impl PackedRanges {
         }
     }
 
-    /// All of them, ascending and not empty.
+    /// All ranges of a cell, ascending and not empty.
     pub fn all(&self) -> Vec<Range<u64>> {
         let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, VarintNumbers(&self.bytes));
         while let (Some(gap), Some(length)) = (numbers.next(), numbers.next()) {
@@ -95,12 +96,12 @@ impl PackedRanges {
 }
 
 impl Ranges {
-    /// No range, of so many cells.
+    /// Empty ranges of `cells` cells.
     pub fn new(cells: usize) -> Self {
         Self::of_part(cells, cells)
     }
 
-    /// No range, of a part of so many cells.
+    /// Empty ranges of a part of `cells` cells.
     pub fn of_part(part: usize, cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
         Self { cells: vec![PackedRanges::default(); part], most }
@@ -121,7 +122,7 @@ impl Ranges {
     }
 }
 
-/// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every
+/// Joins ranges until `keep` are left, where the gaps are the least. Of gaps of about the same length every
 /// other one goes first, so that they do not all become one range.
 fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     // Counted by their lengths' digits, as a stream in no order comes here again and again.
@@ -132,7 +133,7 @@ fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     let classes: Vec<usize> = (0..ranges.len() - 1).map(class).collect();
     let mut counts = [0; 2 * 65];
     classes.iter().for_each(|class| counts[*class] += 1);
-    // How many of each class go: the first.
+    // Number of ranges of each class that go: the first.
     let mut left = ranges.len() - keep;
     counts.iter_mut().for_each(|count| {
         *count = left.min(*count);
@@ -204,8 +205,8 @@ mod tests {
     }
 
     proptest! {
-        /// As by sorting: the least gaps go first, every other one of about the same length, and those that
-        /// come first.
+        /// The least gaps go first, every other one of about the same length, and those that come first, as
+        /// by sorting.
         #[test]
         fn the_least_gaps_are_joined(
             lengths in proptest::collection::vec((1u64..4, prop_oneof![1u64..20, 1u64..1 << 40]), 1..300),
@@ -236,7 +237,7 @@ mod tests {
             prop_assert_eq!(found, wanted);
         }
 
-        /// Whatever the pieces of a stream are, it jumps as often as the whole.
+        /// Jumps of the pieces of a stream add up to those of the whole.
         #[test]
         fn jumps_of_pieces_add_up(
             cells in proptest::collection::vec(0u32..3, 0..60), cut in proptest::collection::vec(0usize..60, 0..5),

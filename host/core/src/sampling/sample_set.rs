@@ -1,4 +1,5 @@
-//! P_S: the samples, with what a deformation tool and the reconstruction need of them.
+//! P_S: the samples, with the neighbours, normals and spacings that a deformation tool and the reconstruction
+//! need.
 
 use std::any::Any;
 use std::sync::{Arc, OnceLock};
@@ -16,27 +17,28 @@ use crate::touching::Contacts;
 /// points around the sample.
 pub const NEIGHBOURS: usize = 32;
 
-/// Parts of a distance within which so many neighbours are expected that are looked at, one after the other.
+/// Factors of the distance within which as many neighbours as are wanted are expected, tried one after the
+/// other.
 const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
 
-/// A sample that few others have for a neighbour stands for so many times as much as those around it, at
-/// most.
+/// Largest ratio of the extent of a sample that few others have for a neighbour to the median spacing around
+/// it.
 const FINER: f32 = 4.0;
 
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
-/// neighbours are asked for, and what a [`RestGeometry`](crate::reconstruction::RestGeometry) found. The
-/// index of a sample never changes.
+/// neighbours are asked for, and that of a [`RestGeometry`](crate::reconstruction::RestGeometry). The index
+/// of a sample never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,
-    /// Unit normals of the model, averaged; zero, or none at all, where it has none.
+    /// Unit normals of the model, averaged; zero, or none at all, where the model has none.
     known: Vec<Vec3>,
-    /// Whether none of them is missing.
+    /// Whether the model has told the normals of all samples.
     all_known: bool,
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
@@ -46,8 +48,8 @@ pub struct SampleSet {
     rest: OnceLock<Arc<dyn Any + Send + Sync>>,
 }
 
-/// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples
-/// does not need it.
+/// Neighbours of each sample and its spacing: found when they are first asked for, as writing the samples
+/// does not need them.
 struct Neighbourhoods {
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
@@ -97,7 +99,7 @@ impl SampleSet {
     }
 
     /// Estimates normals, where the model has not told them all, by neighbours and directions of least
-    /// variance that were found out before.
+    /// variance from an earlier step.
     pub(super) fn estimate_normals(&self, graph: &NeighbourGraph, across: &[Vec3]) {
         if !self.all_known {
             let completed = || normals::completed_from(&self.positions, &self.known, graph, across);
@@ -106,14 +108,14 @@ impl SampleSet {
     }
 
     /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they
-    /// are not what they should be.
+    /// are not of unit length, or not as many.
     pub(crate) fn set_normals(&self, normals: Vec<Vec3>) -> bool {
         if self.all_known {
             return normals.is_empty();
         }
         let fit = normals.len() == self.len() && normals.iter().all(|n| n.is_normalized());
         if fit {
-            // Where they are known by now, they are the same.
+            // Normals that are known by now are the same.
             let _ = self.estimated.set(normals);
         }
         fit
@@ -129,8 +131,8 @@ impl SampleSet {
         &self.known
     }
 
-    /// The contacts: which samples are on the same sheet where parts of the model touch, as its faces tell;
-    /// `None` where none do, or it has no faces.
+    /// Contacts where parts of the model touch, with the sheets of the samples there, as its faces tell;
+    /// `None` where none do, or the model has no faces.
     pub fn contacts(&self) -> Option<&Contacts> {
         self.contacts.as_ref()
     }
@@ -140,7 +142,7 @@ impl SampleSet {
         self.rest = OnceLock::new();
     }
 
-    /// What is held of the samples at rest, for all who need it as long as there are these samples: the
+    /// Data held with the samples at rest, for all who need it as long as there are these samples: the
     /// reconstruction's, whose type is not known here.
     pub(crate) fn rest<T: Any + Default + Send + Sync>(&self) -> Arc<T> {
         self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
@@ -151,12 +153,12 @@ impl SampleSet {
         self.positions.len()
     }
 
-    /// Never: a set has at least one sample.
+    /// Whether the set is empty, which it never is: a set has at least one sample.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// Finds out now what is otherwise found when it is first asked for: neighbours, spacing and normals.
+    /// Finds now the neighbours, spacing and normals that are otherwise found when they are first asked for.
     ///
     /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool,
     /// and a thread that waits for these could take one that waits for it.
@@ -170,7 +172,7 @@ impl SampleSet {
         &self.neighbourhoods().neighbours
     }
 
-    /// Sets the graph, which was found out before; `false` if it cannot be that of these samples.
+    /// Sets the graph of neighbours that was found before; `false` if it cannot be that of these samples.
     pub(crate) fn set_neighbours(&self, graph: NeighbourGraph) -> bool {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
@@ -185,13 +187,13 @@ impl SampleSet {
         &self.neighbourhoods().spacing
     }
 
-    /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for
+    /// Radius of the surface around each sample that the sample stands for in pictures: its spacing, but for
     /// samples that lie apart from all others, as strays of a scan, no more than their nearest neighbour
     /// tells.
     pub fn extents(&self) -> Vec<f32> {
         let Neighbourhoods { neighbours, spacing } = self.neighbourhoods();
         let ring = SPACING_NEIGHBOURS.min(neighbours.k());
-        // To how many others each is a neighbour.
+        // Number of others that each sample is a neighbour of.
         let mut known = vec![0u8; spacing.len()];
         for i in 0..spacing.len() {
             for j in &neighbours.nearest_to(i)[..ring] {
@@ -211,7 +213,8 @@ impl SampleSet {
             else {
                 return spacing[i];
             };
-            // One of a few that are far from all others, or, where hardly any other knows it, all alone.
+            // A sample is one of a few that are far from all others, or, where hardly any other has it for a
+            // neighbour, all alone.
             let of_few = spacing[i].min(2.0 * self.positions[i].distance(self.positions[nearest]));
             // Or far from each other, too, beside a surface that is much finer.
             let of_few = if known[i] < 4 { of_few.min(FINER * median_around(i)) } else { of_few };
@@ -227,16 +230,16 @@ impl SampleSet {
         found.into_iter().map(|found| found as u32).collect()
     }
 
-    /// The neighbours of a sample, found sooner if about so many are within `reach`.
+    /// Neighbours of a sample, found sooner if about as many are within `reach`.
     pub(crate) fn neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u32> {
         let mut found = self.unsorted_neighbours_about(i, reach, count);
         found.sort_unstable();
         found.into_iter().map(|found| found as u32).collect()
     }
 
-    /// These neighbours in no order, as numbers that are in it: their lower halves are the neighbours.
+    /// The same neighbours in no order, as numbers that are in it: their lower halves are the neighbours.
     pub(crate) fn unsorted_neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u64> {
-        // Some more, as their number is not the same everywhere.
+        // A few more are looked for, as their number is not the same everywhere.
         for more in MORE.into_iter().take_while(|_| reach > 0.0) {
             let mut found = self.tree().within(self.positions[i], more * reach);
             if found.len() > count {
@@ -258,13 +261,14 @@ impl SampleSet {
         self.tree().nearest(p)
     }
 
-    /// What [`deepest`](Self::deepest) takes, of balls about the samples.
+    /// Largest radius of the balls about the samples below each node of their tree, for
+    /// [`deepest`](Self::deepest).
     pub(crate) fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
         self.tree().largest_below(radius)
     }
 
-    /// The ball, among those about the samples that hold a point, in which it is nearest to the middle, as a
-    /// part of the radius.
+    /// Ball, among those about the samples that hold a point, in which the point is nearest to the middle, as
+    /// a part of the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         self.tree().deepest(p, radius, largest)
     }
@@ -296,7 +300,7 @@ impl SampleSet {
     /// Builds now, with jobs of the thread pool, the tree in which the nearest samples are looked up.
     pub(crate) fn prepare_tree(&self) {
         if self.tree.get().is_none() {
-            // Another one that was made meanwhile is the same.
+            // A tree that another thread made meanwhile is the same.
             let _ = self.tree.set(KdTree::new(&self.positions));
         }
     }
@@ -306,8 +310,7 @@ impl SampleSet {
         self.tree.get_or_init(|| KdTree::in_one_job(&self.positions))
     }
 
-    /// The set of some of the samples, with their normals, completed, but without what is known of their
-    /// sheets.
+    /// Set of some of the samples, with their normals, completed, but without their sheets.
     pub(crate) fn part(&self, chosen: &[u32]) -> Self {
         let normals = self.normals();
         Self {

@@ -2,9 +2,9 @@
 //! by piece, and who clusters a group of cells reads those of the group from the files of all ranges, in the
 //! order of the stream.
 //!
-//! A file has blocks, each of records of one group; where they are, and their hashes, is told at its end. A
-//! record has what one piece of the stream has of a group: its visits to cells, and the vertices' positions
-//! and normals as they are clustered, in local coordinates.
+//! A file has blocks, each of records of one group; a table of their offsets and hashes is at its end. A
+//! record has the part of a group in one piece of the stream: its visits to cells, and the vertices'
+//! positions and normals as they are clustered, in local coordinates.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -21,23 +21,23 @@ use super::shares::PIECE;
 use crate::sealed::{read_end, seal};
 use crate::varint::{self, VarintNumbers};
 
-/// What the end of a file begins with.
+/// First letters of the end of a file.
 const LETTERS: &[u8; 8] = b"simodshv";
 
 const VERSION: u32 = 1;
 
-/// Bytes that are collected of each group before they are written: of all groups together, and of one.
+/// Bytes that are collected before they are written: of all groups together, and of one.
 const BUFFERS: usize = 32 << 20;
 const BUFFER: Range<usize> = 4 << 10..256 << 10;
 
-/// Most bytes of the table at a file's end.
+/// Largest number of bytes of the table at a file's end.
 const LONGEST: u64 = 4 << 30;
 
 /// Bytes of a vertex besides its position and its normal, at most.
 const VISIT_BYTES: u64 = 14;
 
-/// Bytes of so many shared vertices at most, if each is a visit of its own, as where vertices come in no
-/// order.
+/// Largest number of bytes of `vertices` shared vertices, if each is a visit of its own, as where vertices
+/// come in no order.
 pub fn bytes_at_most(vertices: u64, with_normals: bool) -> u64 {
     vertices.saturating_mul(VISIT_BYTES + bytes_of(with_normals))
 }
@@ -51,19 +51,19 @@ pub fn bytes_of(with_normals: bool) -> u64 {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Visit {
     pub cell: u32,
-    /// From its first vertex to before the first one elsewhere.
+    /// Vertices from the cell's first one to before the first one elsewhere.
     pub vertices: Range<u64>,
-    /// How many of them are in the cell: others are nowhere.
+    /// Number of these vertices that are in the cell: others are nowhere.
     pub finite: u32,
 }
 
-/// What a piece of the stream has of some cells.
+/// Vertices of some cells in a piece of the stream.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SharedPiece {
     pub visits: Vec<Visit>,
     /// The positions of all visits, one after another, in local coordinates.
     pub positions: Vec<Vec3>,
-    /// Unit normals; zero where they are not known.
+    /// Unit normals of these vertices; zero where they are not known.
     pub normals: Vec<Vec3>,
 }
 
@@ -128,7 +128,7 @@ impl SharedPiece {
         bytes
     }
 
-    /// Becomes what a record says; `None` if that makes no sense.
+    /// Replaces the content by that of a record; `None` if the record makes no sense.
     fn read(&mut self, record: &[u8]) -> Option<()> {
         self.clear();
         let mut numbers = VarintNumbers(record);
@@ -173,12 +173,12 @@ struct RecordBlock {
     hash: u128,
 }
 
-/// What stands at the end of a file.
+/// Table at the end of a file.
 #[derive(Serialize, Deserialize)]
 struct SharedVertexTable {
-    /// What the file is of.
+    /// Key of the content that the file is for.
     key: u128,
-    /// Whether all vertices are there: none are needed where groups found no room.
+    /// Whether all vertices are in the file: none are needed where groups found no room.
     is_whole: bool,
     /// The blocks of each group.
     groups: Vec<Vec<RecordBlock>>,
@@ -197,7 +197,7 @@ pub struct SharedWriter {
 }
 
 impl SharedWriter {
-    /// Begins the file of a range, for so many groups.
+    /// Begins the file of a range, for `groups` groups.
     ///
     /// # Errors
     /// The file cannot be made, or another process makes it.
@@ -248,7 +248,7 @@ impl SharedWriter {
         Ok(())
     }
 
-    /// Puts the file in its place, which has all vertices or not; how many bytes it has.
+    /// Puts the file in its place, whether it has all vertices or not; returns the number of its bytes.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
@@ -269,7 +269,7 @@ impl SharedWriter {
     }
 }
 
-/// Whether there is a whole file of this.
+/// Whether there is a whole file of this key.
 pub fn is_there(path: &Path, key: u128) -> bool {
     read_table(path).is_ok_and(|(_, table)| table.key == key)
 }
@@ -287,16 +287,17 @@ fn refused(path: &Path, what: &str) -> Error {
     )
 }
 
-/// Reads what the files of all ranges have of a group.
+/// Reads the vertices of a group from the files of all ranges.
 ///
 /// Memory: 48 bytes for each block of the group, and a block.
 pub struct SharedReader {
-    /// In the order of the ranges; of each file those blocks that are still to be read, the last one first.
+    /// Files in the order of the ranges; of each file those blocks that are still to be read, the last one
+    /// first.
     files: Vec<(PathBuf, Vec<RecordBlock>)>,
     open: Option<File>,
     at: usize,
     block: Vec<u8>,
-    /// Where the next record in the block is.
+    /// Offset of the next record in the block.
     next: usize,
     records: u64,
 }
@@ -336,7 +337,7 @@ impl SharedReader {
         self.records
     }
 
-    /// The next record, in the order of the stream; how many bytes it has.
+    /// Reads the next record, in the order of the stream; returns the number of its bytes.
     ///
     /// # Errors
     /// A file cannot be read, or is damaged; there is no record left.
@@ -387,8 +388,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Visits by cell, what comes before it, length, and how many of that are nowhere; and whether there are
-    /// normals.
+    /// Visits by cell: the vertices before the visit, its length, and the number of those that are nowhere;
+    /// and whether there are normals.
     type Made = (Vec<(u32, u64, u64, u32)>, bool);
 
     /// Pieces with visits to cells, the longest of a few vertices.

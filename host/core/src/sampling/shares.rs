@@ -28,8 +28,8 @@ pub struct Shares {
     owners: Vec<Owner>,
 }
 
-/// Vertices of a model of so many, in ranges of about the same length, each of whole pieces of the stream: at
-/// most so many, and none of them empty.
+/// Ranges of the `vertices` of a model, of about the same length, each of whole pieces of the stream: at most
+/// `count`, and none of them empty.
 pub fn ranges(vertices: u64, count: u64) -> Vec<Range<u64>> {
     let pieces = vertices.div_ceil(PIECE);
     let count = count.clamp(1, pieces.max(1));
@@ -41,8 +41,8 @@ pub fn ranges(vertices: u64, count: u64) -> Vec<Range<u64>> {
 }
 
 impl Shares {
-    /// The shares of the cells of a model whose vertices are in such [`ranges`], and of so many groups: of
-    /// cells that the stream meets one after another, with about as many vertices in each.
+    /// Shares of the cells of a model whose vertices are in such [`ranges`], and of `groups` groups: of cells
+    /// that the stream meets one after another, with about as many vertices in each.
     pub fn new(grid: &Grid, ranges: Vec<Range<u64>>, groups: u32) -> Self {
         let within = |first: u64, last: u64| {
             let at = ranges.partition_point(|range| range.end <= first);

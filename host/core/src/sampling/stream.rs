@@ -1,10 +1,10 @@
 //! Pass 2 on all cores: the stream is gathered in pieces, several at a time, which are merged in its order.
 //!
-//! Open cells are dealt out to shards. Each thread takes what there is to do: a cell that is complete is
-//! clustered; what a piece has for the cells of a shard is merged into them, if it comes next in the stream;
-//! a piece that all shards have merged is finished, in the order of the stream; or another piece is read and
-//! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done
-//! by one thread at a time.
+//! Open cells are dealt out to shards. Each thread takes a task: a cell that is complete is clustered; the
+//! items that a piece has for the cells of a shard are merged into them, if it comes next in the stream; a
+//! piece that all shards have merged is finished, in the order of the stream; or another piece is read and
+//! gathered on its own. Only merging of a shard, finishing, and taking a cell's tree in, are each done by one
+//! thread at a time.
 
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -37,16 +37,16 @@ use super::vs_tree::TreeWorkspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Most shards: merging is a fifth to a fourth of the work.
+/// Largest number of shards: merging is a fifth to a fourth of the work.
 const MOST_SHARDS: usize = 8;
 
 /// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
-/// to the bound or to that which the target has come to meanwhile. `gather(n)` makes what gathers one of so
-/// many parts of the cells, in as small a part of the memory. `None` if that finds no room for all cells.
+/// to the bound or to that which the target has come to meanwhile. `gather(n)` makes the gatherer of one of
+/// `n` parts of the cells, in as small a part of the memory. `None` if one finds no room for all cells.
 ///
-/// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells
-/// as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and one
-/// more, of [`PIECE`] vertices: their bytes in the file, and at most 212 for each.
+/// Memory: that of the gatherers of all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of
+/// cells as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and
+/// one more, of [`PIECE`] vertices: their bytes in the file, and at most 212 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
@@ -55,14 +55,14 @@ pub fn cluster<G: Gather>(
     pass: &ClusteringPass<'_>,
     gather: impl Fn(usize) -> G,
 ) -> Result<Option<Clustered>> {
-    // Parts of a model hand on what they find, which cannot be done twice.
+    // Parts of a model hand on their findings, which cannot be done twice.
     let is_whole = matches!(pass.job, StreamJob::Whole);
     let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
     let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
     if clustered.is_some() || shards == 1 {
         return Ok(clustered);
     }
-    // What finds no room in a part of the memory may do so in all of it.
+    // Items that find no room in a shard's part of the memory may find it in the whole.
     cluster_in_shards(pass, vec![gather(1)])
 }
 
@@ -116,7 +116,7 @@ fn vertices_of(pass: &ClusteringPass<'_>) -> Range<u64> {
     }
 }
 
-/// How many pieces the stream has.
+/// Number of pieces of the stream.
 fn pieces_of(pass: &ClusteringPass<'_>) -> u64 {
     let Range { start, end } = vertices_of(pass);
     match pass.job {
@@ -138,7 +138,7 @@ fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
     }
 }
 
-/// The open cells, dealt out to what gathers each part of them.
+/// Open cells, dealt out to the gatherer of each part of them.
 fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<CellShard<G>>> {
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
     let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
@@ -154,7 +154,7 @@ fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<Cel
     gather.into_iter().zip(left).map(shard).map(Mutex::new).collect()
 }
 
-/// Whether there was room.
+/// Streams the vertices; `false` if there was no room.
 fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
     let Clustered { forest, hash, ranges, items, jumps, membership, picked } = found;
     let vertices = vertices_of(pass);
@@ -204,7 +204,7 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
 }
 
 /// Notes that the stream is in a cell from the first of these vertices on; `false` if it was there before.
-/// What comes before the first visit of a piece is of no cell, so that ranges follow from the pieces, whoever
+/// Vertices before the first visit of a piece are of no cell, so that ranges follow from the pieces, whoever
 /// reads which of them.
 fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u64>) -> bool {
     if let Some((last, visited)) = visits.last_mut() {
@@ -220,22 +220,22 @@ fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u
 /// The cell that the stream is in.
 struct EnteredCell {
     key: CellKey,
-    /// What is surely inside it, once the stream has stayed; nothing before, as a stream in no order does
-    /// not.
+    /// Box that is surely inside the cell, once the stream has stayed in it; empty before, as a stream in no
+    /// order does not stay.
     inside: Bounds,
     cell: u32,
-    /// Whether it is clustered here.
+    /// Whether the cell is clustered by this job.
     is_own: bool,
 }
 
-/// Deals what is of each cell out to so many shards.
+/// Deals the items of each cell out to shards.
 fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> Vec<Vec<T>> {
     let mut dealt: Vec<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
     of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % shards].push(of_cell));
     dealt
 }
 
-/// What was [dealt](deal) out, in the order of cells.
+/// Items that were [dealt](deal) out, in the order of cells.
 fn gathered_up<T>(dealt: Vec<Vec<T>>) -> Vec<T> {
     let cells = dealt.iter().map(Vec::len).sum();
     let mut shards: Vec<_> = dealt.into_iter().map(Vec::into_iter).collect();
@@ -255,19 +255,19 @@ struct Stream<'a, G: Gather> {
     /// A cell is of the shard of its number modulo theirs.
     shards: Vec<Mutex<CellShard<G>>>,
     finishing: Mutex<Finishing<'a>>,
-    /// What all trees are taken into, and whether none is yet.
+    /// Forest that takes all trees in, and whether it has none yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<TreeWorkspace<G::Item>>>,
     schedule: Schedule<StreamPiece<G::Piece>, Complete<G>>,
 }
 
-/// A complete cell, and what was gathered of it.
+/// Complete cell, and the items that were gathered of it.
 type Complete<G> = (u32, CellItems<<G as Gather>::Item>);
 
 struct StreamReading<'a> {
     /// Number of the piece that is read next.
     next: u64,
-    /// Where vertices are read best in their order, and all by one reader.
+    /// Reader of all vertices, where they are read best in their order.
     reader: Option<Box<dyn VertexReader + 'a>>,
 }
 
@@ -277,9 +277,9 @@ struct CellShard<G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
-    /// How many items each cell had in the end.
+    /// Number of items of each cell in the end.
     items: Vec<u32>,
-    /// Where in the stream each cell's vertices are.
+    /// Ranges of the stream with each cell's vertices.
     ranges: Ranges,
     /// Items that are merged of those that the next piece has for the shard.
     at: usize,
@@ -287,7 +287,7 @@ struct CellShard<G> {
     complete: Option<u32>,
 }
 
-/// What is found by the way of pieces in the order of the stream.
+/// Sums over the pieces, added up in the order of the stream.
 struct Finishing<'a> {
     hash: &'a mut HashedStream,
     jumps: &'a mut Jumps,
@@ -300,28 +300,27 @@ struct StreamPiece<P: GatherPiece> {
     /// The chunks as they were read.
     chunks: Vec<VertexChunk>,
     gatherer: P,
-    /// All that was gathered, once it is, and the cell of each item.
+    /// Items that were gathered, once they all are, and the cell of each.
     gathered: Vec<(u32, P::Item)>,
     /// The item that each vertex is part of, if it shall be known; [`NONE`] where the vertex is not finite.
     items: Vec<u32>,
-    /// Where they are, local units, if it shall be known.
+    /// Local positions of the vertices, if they are recorded.
     positions: Vec<Vec3>,
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: ColorLists,
-    /// The places of what was gathered for the cells of each shard, and of the visits there, if there are
-    /// several.
+    /// Places of the items for the cells of each shard, and of the visits there, if there are several shards.
     of_shards: Vec<[Vec<u32>; 2]>,
-    /// The place of each item in its cell, if it shall be known, once it is merged.
+    /// Place of each item in its cell, if members are recorded, once the item is merged.
     places: Vec<AtomicU32>,
-    /// Each cell that the stream enters, and the vertices up to where it leaves it.
+    /// Cells that the stream enters, each with the vertices up to where the stream leaves it.
     visits: Vec<(u32, Range<u64>)>,
-    /// How these follow each other.
+    /// Jumps between these cells.
     jumps: Jumps,
-    /// The piece's vertices in cells that others cluster, and what is written down of them.
+    /// Vertices of the piece in cells that others cluster, and the records that are written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
-    /// What was read in the place of the model.
+    /// Number of bytes that were read in the place of the model.
     bytes: u64,
 }
 
@@ -333,7 +332,7 @@ const NONE: u32 = u32::MAX;
 const OF_OTHERS: u32 = 1 << 31;
 
 impl<'a, G: Gather> Stream<'a, G> {
-    /// Does what there is to do, as long as there is anything.
+    /// Does tasks as long as there are any.
     fn go_on(&self) {
         while let Some(task) = self.schedule.take() {
             let done = catch_unwind(AssertUnwindSafe(|| match task {
@@ -391,7 +390,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
     }
 
-    /// Reads the vertices of the next piece; its number, and which they are.
+    /// Reads the vertices of the next piece; returns its number, and the range of the vertices.
     fn read(&self, chunks: &mut Vec<VertexChunk>) -> Result<(u64, Range<u64>)> {
         let mut reading = lock(&self.reading);
         let number = reading.next;
@@ -531,8 +530,8 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// Merges what the piece that comes next in the stream has for the cells of a shard into these, until too
-    /// many of them wait to be clustered.
+    /// Merges the items that the piece that comes next in the stream has for the cells of a shard into these,
+    /// until too many of the cells wait to be clustered.
     fn merge(&self, shard: usize, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut merging = lock(&self.shards[shard]);
         let of_shard = piece.of_shards.get(shard);
@@ -569,7 +568,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
     }
 
-    /// Whether all of the items were merged.
+    /// Merges items of a piece into a shard; `false` if some found no room or have to wait.
     fn merge_items(
         &self,
         shard: &mut CellShard<G>,
@@ -688,7 +687,7 @@ impl<'a, G: Gather> Stream<'a, G> {
 }
 
 impl<P: GatherPiece> StreamPiece<P> {
-    /// Ends what is gathered, and tells what of it is of the cells of each shard.
+    /// Ends gathering, and finds the items that are of the cells of each shard.
     fn deal(&mut self, shards: usize, with_places: bool) {
         let Self { gatherer, gathered, of_shards, places, visits, jumps, .. } = self;
         *gathered = gatherer.end();
@@ -753,7 +752,7 @@ fn read_all(
     Ok(())
 }
 
-/// Whatever became of the thread that had it: what failed ends the work.
+/// Content of a mutex, whatever became of the thread that had it: a failure ends the work.
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }

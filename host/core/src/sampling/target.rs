@@ -1,14 +1,14 @@
-//! How fine P_S shall be: what a sampling is asked for.
+//! Fineness of P_S that a sampling is asked for.
 
 use serde::{Deserialize, Serialize};
 
-/// How fine P_S shall be.
+/// Fineness of P_S.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
-    /// This many samples, at most, and only less where the model has no more to tell apart.
+    /// Number of samples, at most; there are fewer only where the model has no more to tell apart.
     Samples(u64),
-    /// No cluster has a larger error (see [`super::cluster::Moments::representative`]); a fraction of the
+    /// Largest error of a cluster (see [`super::cluster::Moments::representative`]), as a fraction of the
     /// diagonal. So every vertex has a sample within this / [`super::cluster::REACH_WEIGHT`].
     Error(f64),
 }

@@ -10,7 +10,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use simod_model::Error;
 
-/// Something for a thread to do; it tells [`Tasks`] when it has done so. `P` is a piece, and `C` a cell.
+/// Task for a thread, which tells [`Tasks`] when it is done. `P` is a piece, and `C` a cell.
 pub enum Task<P, C> {
     /// Read the next piece and gather it, into this one if there is any.
     Gather(Option<P>),
@@ -22,7 +22,7 @@ pub enum Task<P, C> {
     Cluster(C),
 }
 
-/// Why there is nothing left to do before the end.
+/// Reason why there is nothing left to do before the end.
 pub enum Stopped {
     /// Something found no room.
     NoRoom,
@@ -30,16 +30,16 @@ pub enum Stopped {
     Failed(Error),
 }
 
-/// What there is to do.
+/// Tasks that are still to be done.
 pub struct Tasks<P, C> {
     /// Number of all pieces.
     pieces: u64,
-    /// Most of them that are taken and not finished.
+    /// Largest number of pieces that are taken and not finished.
     most: u64,
     taken: u64,
     finished: u64,
     is_finishing: bool,
-    /// For each shard, the piece that it merges next, and whether it is at it.
+    /// Piece that each shard merges next, and whether a thread is at it.
     shards: Vec<(u64, bool)>,
     /// Pieces that are gathered and not finished, by their numbers.
     gathered: BTreeMap<u64, Arc<P>>,
@@ -56,8 +56,8 @@ pub struct Tasks<P, C> {
 }
 
 impl<P, C> Tasks<P, C> {
-    /// The tasks of so many pieces, of which at most so many are taken and not finished, and of so many
-    /// shards, which merge until cells of so many bytes are complete and not clustered.
+    /// Tasks of `pieces` pieces, of which at most `most` are taken and not finished, and of `shards` shards,
+    /// which merge until cells of `most_queued` bytes are complete and not clustered.
     pub fn new(pieces: u64, most: u64, shards: usize, most_queued: usize) -> Self {
         Self {
             pieces,
@@ -126,7 +126,8 @@ impl<P, C> Tasks<P, C> {
         self.gathered.insert(number, Arc::new(piece));
     }
 
-    /// A shard has merged what it was given, or a part of it. It has let go of the piece.
+    /// Notes that a shard has merged the piece that it was given, or a part of it, and has let go of the
+    /// piece.
     pub fn merged(&mut self, shard: usize, has_all: bool) {
         let (next, is_busy) = &mut self.shards[shard];
         (*next, *is_busy) = (*next + u64::from(has_all), false);
@@ -139,7 +140,7 @@ impl<P, C> Tasks<P, C> {
         self.spare.extend(piece);
     }
 
-    /// Reserves so many bytes for a complete cell that is to be clustered; `false` where too many wait for it
+    /// Reserves `bytes` bytes for a complete cell that is to be clustered; `false` where too many wait for it
     /// or are in it.
     pub fn reserve(&mut self, bytes: usize) -> bool {
         let has_room = self.queued <= self.most_queued;
@@ -149,21 +150,21 @@ impl<P, C> Tasks<P, C> {
         has_room
     }
 
-    /// A cell of so many bytes is clustered.
+    /// Notes that a cell of `bytes` bytes is clustered.
     pub fn clustered(&mut self, bytes: usize) {
         self.queued -= bytes;
     }
 
-    /// Nothing is to be done any more. What stopped it first counts.
+    /// Stops all tasks. The first reason counts.
     pub fn stop(&mut self, why: Stopped) {
         self.stopped.get_or_insert(why);
     }
 }
 
-/// What there is to do, for several threads.
+/// Tasks that are still to be done, for several threads.
 pub struct Schedule<P, C> {
     tasks: Mutex<Tasks<P, C>>,
-    /// There is something to do for a thread that waits, or nothing will be.
+    /// Signal that there is a task for a thread that waits, or that there will be none.
     moved: Condvar,
 }
 
@@ -173,13 +174,14 @@ impl<P, C> Schedule<P, C> {
         Self { tasks: Mutex::new(tasks), moved: Condvar::new() }
     }
 
-    /// Told what was done, by a thread that [takes](Self::take) another task thereupon.
+    /// Lock of the tasks, for a thread to note what it has done; it [takes](Self::take) another task
+    /// thereupon.
     pub fn tasks(&self) -> MutexGuard<'_, Tasks<P, C>> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next task, once there is one; `None` if nothing is left. Where there is yet another one, a thread
-    /// that waits is woken for it: as each thread comes back for what it has made possible, nothing is left
+    /// Next task, once there is one; `None` if nothing is left. Where there is yet another one, a thread that
+    /// waits is woken for it: as each thread comes back for what it has made possible, nothing is left
     /// undone, and few are woken in vain.
     pub fn take(&self) -> Option<Task<P, C>> {
         let mut tasks = self.tasks();
@@ -211,7 +213,7 @@ impl<P, C> Schedule<P, C> {
         }
     }
 
-    /// Why there was nothing left to do before the end, if so.
+    /// Reason why there was nothing left to do before the end, if there is one.
     pub fn into_stopped(self) -> Option<Stopped> {
         self.tasks.into_inner().unwrap_or_else(PoisonError::into_inner).stopped
     }
@@ -223,7 +225,7 @@ mod tests {
     use proptest::prelude::*;
     use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-    /// A piece that knows how many shards have merged it.
+    /// Piece that counts the shards that have merged it.
     struct Numbered {
         number: u64,
         merged: AtomicUsize,

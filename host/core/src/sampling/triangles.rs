@@ -9,8 +9,8 @@ use super::face_ranges::{FaceRanges, MetCells};
 use super::placement::{FACES_OF_A_JOB, Planes};
 use crate::touching::Islands;
 
-/// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
-/// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
+/// Largest number of triangles for each sample. A closed surface has two, and any that is worth the name not
+/// many more; beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
 const MOST_PER_SAMPLE: usize = 16;
 
 /// Bytes of temporary files that are looked up for a face: sample, place and island of each corner.
@@ -26,7 +26,7 @@ pub struct Triangles {
     pub of_vertices: bool,
     /// Number of triangles of P_L that refer to a vertex that there is not.
     pub without_vertex: u64,
-    /// There were more than [`MOST_PER_SAMPLE`], and all were dropped.
+    /// Whether there were more than [`MOST_PER_SAMPLE`], and all were dropped.
     pub tangled: bool,
 }
 
@@ -48,7 +48,8 @@ impl Triangles {
         }
     }
 
-    /// Each triangle once, if there are more than twice so many; none if there are still more than that.
+    /// Removes triangles that are there twice, if there are more than twice `most`; and all triangles, if
+    /// there are still more than `most`.
     fn keep_few(&mut self, sample_of: &[u32], most: usize) {
         if self.triangles.len() > 2 * most {
             self.put(sample_of);
@@ -60,16 +61,16 @@ impl Triangles {
     }
 }
 
-/// What is looked for in the faces.
+/// Findings that are looked for in the faces.
 #[derive(Default)]
 pub struct Wanted<'a, 'p> {
-    /// The triangles of P_S.
+    /// Whether the triangles of P_S are wanted.
     pub triangles: bool,
-    /// Where the faces of each cell are.
+    /// Ranges of the file with the faces of each cell, if they are wanted.
     pub ranges: Option<&'a mut FaceRanges>,
-    /// The vertices that hang together, if they are wanted.
+    /// Islands of vertices that hang together, if they are wanted.
     pub islands: Option<&'a mut Islands>,
-    /// The planes around each sample.
+    /// Planes around each sample, if they are wanted.
     pub planes: Option<&'a mut Planes<'p>>,
 }
 
@@ -90,17 +91,17 @@ pub struct Reindexing<'a, 'p> {
 }
 
 impl<'a, 'p> Reindexing<'a, 'p> {
-    /// No face yet.
+    /// Reindexing that has taken no faces yet.
     pub fn new(sample_of: &'a [u32], samples: usize, wanted: Wanted<'a, 'p>) -> Self {
         let of_vertices = wanted.triangles && wanted.islands.is_some();
         let found = Triangles { of_vertices, ..Triangles::default() };
         Self { sample_of, samples, wanted, most: MOST_PER_SAMPLE * samples.max(64), found }
     }
 
-    /// Takes the next triangles, and the marks among them; and those whose planes are summed up, which are
-    /// the same but for who reads a part of the faces. Takes jobs of the thread pool.
+    /// Takes the next triangles, and the marks among them; and the triangles whose planes are summed up,
+    /// which are the same but for a unit that reads a part of the faces. Takes jobs of the thread pool.
     pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark], summed: &[[u32; 3]]) {
-        // One of the pool's threads does what follows: else it would have to be woken for each part.
+        // The following is done by one of the pool's threads: else it would have to be woken for each part.
         rayon::scope(|_| {
             let Self { sample_of, samples, ref mut wanted, ref found, .. } = *self;
             let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;
@@ -131,12 +132,12 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         self.sample_of.get(vertex as usize).copied().filter(|sample| (*sample as usize) < self.samples)
     }
 
-    /// What was wanted besides the triangles.
+    /// Findings that were wanted besides the triangles.
     pub fn wanted(&mut self) -> &mut Wanted<'a, 'p> {
         &mut self.wanted
     }
 
-    /// Adds what another one has found in other faces, of the same vertices.
+    /// Adds the findings of another one in other faces, of the same vertices.
     pub fn add(&mut self, found: &Triangles) {
         let own = &mut self.found;
         own.without_vertex += found.without_vertex;
@@ -178,14 +179,14 @@ impl<'a, 'p> Reindexing<'a, 'p> {
     }
 }
 
-/// How faces are looked at.
+/// Inputs by which triangles are looked at.
 struct Look<'a> {
     sample_of: &'a [u32],
     samples: usize,
     wants_triangles: bool,
-    /// Corners are wanted as vertices.
+    /// Whether corners are wanted as vertices.
     of_vertices: bool,
-    /// Where the cells are of which it is noted that they are met.
+    /// Cell of each sample, if the cells that faces meet are noted.
     ranges: Option<&'a FaceRanges>,
 }
 
@@ -207,7 +208,7 @@ impl Look<'_> {
         pieces
     }
 
-    /// What is found in some triangles, of which the first one has a number that marks tell.
+    /// Findings in some triangles, of which the first one has number `first`, as marks count.
     fn piece(&self, first: usize, triangles: &[[u32; 3]], marks: &[FaceMark]) -> FoundInFaces {
         let mut piece = FoundInFaces::default();
         let mut marks = marks.iter().peekable();
@@ -249,7 +250,7 @@ impl Look<'_> {
     }
 }
 
-/// What is found in some faces.
+/// Findings in some faces.
 #[derive(Default)]
 struct FoundInFaces {
     triangles: Vec<[u32; 3]>,
@@ -271,7 +272,7 @@ pub fn reindex(
     progress: &dyn Progress,
 ) -> Result<Triangles> {
     let mut reindexing = Reindexing::new(sample_of, samples, wanted);
-    // From one mark to another, faces of several files cannot be read.
+    // Faces of several files cannot be read from one mark to another.
     let are_ranges = model.tiles().is_empty();
     for_faces(model, |chunk| {
         progress.check()?;
@@ -283,7 +284,7 @@ pub fn reindex(
     Ok(reindexing.finish())
 }
 
-/// All three, if all are known.
+/// All three samples, if all are known.
 pub fn all_three([a, b, c]: [Option<u32>; 3]) -> Option<[u32; 3]> {
     Some([a?, b?, c?])
 }
@@ -299,7 +300,7 @@ pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     }
 }
 
-/// Each triangle once, in the order of their samples.
+/// Removes triangles that are there twice; the rest are in the order of their samples.
 pub fn once_each(triangles: &mut Vec<[u32; 3]>) {
     triangles.sort_unstable();
     triangles.dedup();
@@ -311,7 +312,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Where marks are: mostly near where one piece ends and the next begins.
+    /// Places of marks: mostly near where one piece ends and the next begins.
     fn places(faces: usize) -> impl Strategy<Value = Vec<usize>> {
         let near = (0..=faces / FACES_OF_A_JOB, 0..4usize)
             .prop_map(|(piece, beyond)| piece * FACES_OF_A_JOB + beyond);

@@ -8,9 +8,9 @@
 //! with opposite normals are parted at once, by the sign of their normals, instead of splitting down to their
 //! distance.
 //!
-//! A node's *key* is its error, or what `density` makes of it, or its parent's if that is less: the clusters
-//! of a cut at ε are those reached from the root by going on while the key exceeds ε and there is something
-//! below, and their number falls as ε grows.
+//! A node's *key* is its error, as weighted by `density`, or its parent's if that is less: the clusters of a
+//! cut at ε are those reached from the root by going on while the key exceeds ε and there is something below,
+//! and their number falls as ε grows.
 
 use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -58,7 +58,7 @@ pub struct Node {
     pub key: f32,
     /// Index of the first node behind this one's subtree; the children follow their parent.
     pub end: u32,
-    /// The first of the leaves below it, counted in the tree as it was built.
+    /// First of the leaves below the node, counted in the tree as it was built.
     pub first: u32,
 }
 
@@ -67,15 +67,15 @@ pub struct Node {
 pub struct VsTree {
     /// All clusters, a parent before its children.
     pub nodes: Vec<Node>,
-    /// Number of leaves that it was built with.
+    /// Number of leaves that the tree was built with.
     built: u32,
 }
 
 impl VsTree {
     /// Builds the tree down to clusters of key `stop` or less. Reorders `elements`, which must not be empty.
     ///
-    /// `workspace.leaves` then has for each element, by its index less that of the first one, the leaf that
-    /// it is in.
+    /// `workspace.leaves` then has the leaf of each element, at the element's index less that of the first
+    /// one.
     ///
     /// Memory: `workspace` grows to the number of elements; the recursion is at most `MAX_DEPTH` deep.
     pub fn build<E: Element>(
@@ -89,9 +89,9 @@ impl VsTree {
         Self::build_where(elements, workspace, rule, (f32::INFINITY, seed), goes_on)
     }
 
-    /// As [`build`](Self::build), where `goes_on` decides which clusters are split, if they can be: it is
-    /// asked for each one, in preorder, with its moments, its key, and how deep it is. `root` is the least
-    /// error above the tree, and its seed.
+    /// Tree like that of [`build`](Self::build), where `goes_on` decides which clusters are split, if they
+    /// can be: it is asked for each one, in preorder, with its moments, its key, and its depth. `root` is the
+    /// least error above the tree, and the tree's seed.
     pub fn build_where<E: Element>(
         elements: &mut [E],
         workspace: &mut TreeWorkspace<E>,
@@ -114,11 +114,11 @@ impl VsTree {
         let root = TreePosition { above, stage: SplitStage::Volume, depth: 0, seed };
         builder.node(elements, spare, moments, root);
         let built = builder.built;
-        // A copy is just as long as it has to be.
+        // Nodes are copied to a list that is just as long as it has to be.
         (Self { nodes: nodes.clone(), built }, moments)
     }
 
-    /// One tree of two over disjoint sets of vertices, below a cluster with the moments of both.
+    /// Joins two trees over disjoint sets of vertices to one, below a cluster with the moments of both.
     pub fn join(first: Self, second: Self, both: &Moments) -> Self {
         let key = |tree: &Self| tree.nodes.first().map_or(0.0, |root| root.key);
         let covariance = both.covariance();
@@ -127,7 +127,7 @@ impl VsTree {
             position,
             normal,
             variance: both.variance_of_mean(&covariance),
-            // No less than what is below it.
+            // The key is no less than those below.
             key: error.max(key(&first)).max(key(&second)),
             end: (1 + first.nodes.len() + second.nodes.len()) as u32,
             first: 0,
@@ -156,7 +156,7 @@ impl VsTree {
         }
     }
 
-    /// Whether it is a tree: what was read may be anything.
+    /// Whether the nodes are a tree: one that was read from a file may be damaged.
     pub fn is_sound(&self) -> bool {
         let count = self.nodes.len();
         // The ends of the subtrees around the node at hand.
@@ -173,7 +173,7 @@ impl VsTree {
         is_whole && self.nodes.iter().enumerate().all(nests)
     }
 
-    /// Number of leaves that it was built with: more than it has, if it was pruned since.
+    /// Number of leaves that the tree was built with: more than it has, if it was pruned since.
     pub fn built(&self) -> u32 {
         self.built
     }
@@ -190,7 +190,7 @@ impl VsTree {
 
     /// Drops everything below the cut at `threshold`.
     pub fn prune(&mut self, threshold: f32) {
-        // Kept ancestors of the node at hand: where they are now, and where their subtrees ended.
+        // Kept ancestors of the node at hand: their new places, and the former ends of their subtrees.
         let mut open: Vec<(usize, u32)> = Vec::new();
         let (mut i, mut kept) = (0, 0);
         while let Some(node) = self.nodes.get(i).copied() {
@@ -212,7 +212,7 @@ impl VsTree {
         self.nodes.shrink_to_fit();
     }
 
-    /// The clusters that a cut can split: their key, and how many clusters the split adds.
+    /// Clusters that a cut can split: their key, and the number of clusters that the split adds.
     pub fn splits(&self) -> impl Iterator<Item = (f32, u32)> + '_ {
         let inner = (0..self.nodes.len()).filter(|i| self.goes_on(*i, f32::NEG_INFINITY));
         inner.map(|i| (self.nodes[i].key, self.children(i) - 1))
@@ -250,28 +250,28 @@ impl<E> Default for TreeWorkspace<E> {
     }
 }
 
-/// How a cluster is split.
+/// Space in which a cluster is split.
 #[derive(Debug, Clone, Copy)]
 enum SplitStage {
-    /// In space, along the coordinate axes.
+    /// Splitting in space, along the coordinate axes.
     Volume,
-    /// In the plane of these two unit vectors.
+    /// Splitting in the plane of these two unit vectors.
     Surface([Vec3; 2]),
 }
 
-/// Where in the tree a cluster is.
+/// Position of a cluster in the tree.
 #[derive(Debug, Clone, Copy)]
 struct TreePosition {
-    /// The key of the cluster above.
+    /// Key of the cluster above.
     above: f32,
     stage: SplitStage,
     depth: u32,
-    /// Different for each place.
+    /// Seed, different for each position.
     seed: u64,
 }
 
 impl TreePosition {
-    /// The place of a part of a cluster with this key here.
+    /// Position of a part of the cluster here, which has this key.
     fn below(self, key: f32, stage: SplitStage, part: usize) -> Self {
         Self { above: key, stage, depth: self.depth + 1, seed: mix(self.seed, part as u64 + 1) }
     }
@@ -282,14 +282,14 @@ struct TreeBuilder<'a, F> {
     goes_on: F,
     nodes: &'a mut Vec<Node>,
     built: u32,
-    /// Where the elements of the cluster at hand go.
+    /// Code of each element of the cluster at hand: the part that it goes to.
     codes: &'a mut [u8],
     leaves: &'a mut [u32],
     first_index: u32,
 }
 
 impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
-    /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any
+    /// Adds the cluster of some elements, and those below. `spare` is as long as `elements`, and of any
     /// content.
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: TreePosition) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
@@ -360,7 +360,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
             if self.part(elements, spare, quadrant(m, *covariance, tangents), below) {
                 return true;
             }
-            // All on one line along the normal, or too close to tell apart in the plane.
+            // The elements are all on one line along the normal, or too close to tell apart in the plane.
         }
         self.part(elements, spare, octant(m), |part| place.below(key, SplitStage::Volume, part))
     }
@@ -406,13 +406,13 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
     }
 }
 
-/// How the vertices of a cluster lie.
+/// Arrangement of the vertices of a cluster.
 enum ClusterShape {
     /// Vertices project on the plane of these vectors without folding.
     Sheet([Vec3; 2]),
     /// Vertices are on two sheets across this direction, with opposite normals.
     TwoSheets(Vec3),
-    /// Neither.
+    /// Vertices that are neither.
     Folded,
 }
 

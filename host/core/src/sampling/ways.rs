@@ -1,5 +1,5 @@
-//! The ways from samples to their neighbours, of as many samples at once as the processor's vector registers
-//! take, and how they scatter.
+//! Ways from samples to their neighbours, of as many samples at once as the processor's vector registers
+//! take, and the scatter of these ways.
 
 #![expect(
     clippy::needless_range_loop,
@@ -21,7 +21,7 @@ pub struct Ways {
 }
 
 impl Ways {
-    /// No ways yet, to this many neighbours of each sample, [`NEIGHBOURS`] at most.
+    /// Ways without numbers yet, to `count` neighbours of each sample, [`NEIGHBOURS`] at most.
     pub fn new(count: usize) -> Self {
         Self { numbers: [[[0.0; MOST_LANES]; 3]; NEIGHBOURS], count: count.min(NEIGHBOURS) }
     }

@@ -1,8 +1,8 @@
 //! Places where sheets meet, as the model's faces tell them, and the sheets of the samples there: kept in the
 //! folder.
 //!
-//! The file begins with eight letters and a version. What is known of the samples follows, then the places,
-//! and a checksum of all before it.
+//! The file begins with eight letters and a version. The lists of the samples follow, then the places, and a
+//! checksum of all before it.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Write};
@@ -26,7 +26,7 @@ pub(super) const MOST: usize = 32;
 
 /// The samples on the same sheet as each, near places where sheets meet.
 ///
-/// Memory: at most 140 bytes for each sample near which sheets meet, and those of its places.
+/// Memory: at most 140 bytes for each sample near which sheets meet, and those of the places.
 #[derive(Debug, Default)]
 pub struct Contacts {
     pub(super) lists: ContactLists,
@@ -41,7 +41,7 @@ pub(super) struct ContactLists {
     starts: Vec<u32>,
     /// The neighbours of each on its sheet, the nearest first.
     same: Vec<u32>,
-    /// Samples that were parted from the sample of a cluster, and that one: they are in no cell's tree.
+    /// Samples that were parted from the sample of a cluster, each with that one: they are in no cell's tree.
     pub parted: Vec<[u32; 2]>,
 }
 
@@ -51,7 +51,7 @@ impl Contacts {
         self.lists.get(sample)
     }
 
-    /// The sample on whose sheet a local position is, where it is not known from the position itself.
+    /// Sample on whose sheet a local position is, where the position itself does not tell.
     #[inline]
     pub fn sample_at(&self, p: Vec3) -> Option<u32> {
         self.places.sample_at(p)
@@ -62,7 +62,7 @@ impl Contacts {
         &self.lists.parted
     }
 
-    /// The samples of which it is known who is on their [sheet](Self::same_sheet), ascending.
+    /// Samples whose [sheet](Self::same_sheet) is known, ascending.
     pub fn told(&self) -> &[u32] {
         &self.lists.samples
     }
@@ -80,7 +80,7 @@ impl Contacts {
     /// A hash of all that is known of contacts.
     pub fn digest(&self) -> u128 {
         let mut hash = Hashed::new(io::sink());
-        // What goes nowhere can be written.
+        // A sink takes all bytes, so that writing cannot fail.
         let _ = self.write_content("", &mut hash);
         hash.hash.digest128()
     }
@@ -109,7 +109,7 @@ impl Contacts {
         file.commit()
     }
 
-    /// Reads a file, if it is there: of so many samples, and of the `samples.ply` with this hash.
+    /// Reads a file, if it is there: of `samples` samples, and of the `samples.ply` with this hash.
     ///
     /// # Errors
     /// The file cannot be read; it is damaged, or of other samples.
@@ -140,7 +140,7 @@ impl Contacts {
         reader.read_exact(&mut head).map_err(cut_off)?;
         let (of, lists, count): (String, ContactLists, u64) =
             postcard::from_bytes(&head).map_err(|e| refused(&e.to_string()))?;
-        // Before anything is held by what it says.
+        // The length is checked before anything is held by what the file says.
         if length - bytes.min(length) != 20 + count.saturating_mul(12).saturating_add(16) {
             return Err(refused("it is cut off"));
         }

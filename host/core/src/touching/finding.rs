@@ -26,20 +26,20 @@ use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
 
-// The lists that are kept are those of the reconstruction.
+// The lists that are kept are as long as those of the reconstruction.
 const _: () = assert!(contacts::MOST == SHEET_NEIGHBOURS);
 
-/// A way over the surface, from sample to sample, that is longer than so many times the distance of the
-/// furthest neighbour leads to another sheet, or another side of a fold.
+/// Ratio of the length of a way over the surface, from sample to sample, to the distance of the furthest
+/// neighbour, above which the way leads to another sheet, or another side of a fold.
 const DETOUR: f32 = 1.5;
 
 /// Vertices whose homes are looked up at a time.
 const BATCH: usize = 1 << 14;
 
 impl Contacts {
-    /// The contacts of the samples of a model in which sheets meet, of which `sample_of` says what vertex
-    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
-    /// though nothing may be near any more: so it is known that they were.
+    /// Contacts of the samples of a model in which sheets meet; `sample_of` has the sample of each vertex,
+    /// and `trees` the samples of each cell. Where clusters were parted there are contacts, though nothing
+    /// may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -106,8 +106,8 @@ impl Contacts {
         PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
-    /// What touches in a model that was refined: `samples`, whose sheets are `inherited`. `parted` are those
-    /// that no cell's tree has now, each with one of its cluster that a tree has.
+    /// Contacts of a refined model: of `samples`, whose sheets are `inherited`. `parted` are the samples that
+    /// no cell's tree has now, each with a sample of its cluster that a tree has.
     pub(crate) fn refined(
         inherited: &InheritedSheets<'_>,
         samples: &SampleSet,
@@ -128,9 +128,8 @@ impl Contacts {
         Self { lists: ContactLists::new(lists, parted), places: inherited.contacts.places.clone() }
     }
 
-    /// These contacts with the places of those vertices whose homes would be on another sheet than they were
-    /// on, each with the sample of its sheet that is nearest now: the one that it had may be far off, as
-    /// samples are apart here.
+    /// Contacts with the places of those vertices whose homes would be on another sheet than before, each
+    /// with the nearest sample of its sheet now: its former sample may be far off, as samples are apart here.
     ///
     /// Memory: besides that of the places, a bit for each place that there was.
     pub(crate) fn with_places(
@@ -180,19 +179,20 @@ impl Contacts {
 pub(crate) struct InheritedSheets<'a> {
     /// The contacts that were known before.
     pub contacts: &'a Contacts,
-    /// How many samples there were.
+    /// Number of samples before the refinement.
     pub before: usize,
-    /// For each new sample one that was there, on its sheet.
+    /// Sample from before the refinement on whose sheet each new sample is.
     pub origins: &'a [u32],
 }
 
 impl InheritedSheets<'_> {
-    /// The sample that was there on the sheet of one; itself, if it was there.
+    /// Sample from before the refinement on the sheet of `sample`; itself, if it was there.
     fn origin(&self, sample: u32) -> u32 {
         (sample as usize).checked_sub(self.before).map_or(sample, |new| self.origins[new])
     }
 
-    /// Whether a sample is known to be on the sheet of one that was there, and is near to it.
+    /// Whether `sample` is known to be on the sheet of `own`, a sample from before the refinement, and near
+    /// to it.
     fn is_of(&self, sample: u32, own: u32) -> bool {
         let other = self.origin(sample);
         let knows =
@@ -208,9 +208,9 @@ pub(crate) struct Near {
     samples: SampleSet,
 }
 
-/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of
-/// its cell, whose sheet is looked for among those around, by the links that these have to their own
-/// neighbours.
+/// Numbers of neighbours that are gone on to, one after the other: the home of a place is among those of the
+/// sample of its cell, whose sheet is looked for among those around, by the links that these have to their
+/// own neighbours.
 const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
 
 impl Near {
@@ -221,7 +221,8 @@ impl Near {
             let near = border.par_iter().map(|i| samples.nearest_neighbours(*i as usize, count));
             border = near.collect::<Vec<_>>().into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
         }
-        // With the outermost ones of all, the cells in which homes are looked up are those of the whole set.
+        // The outermost samples of all are included, so that the cells in which homes are looked up are those
+        // of the whole set.
         for axis in 0..3 {
             let by_place = |a: &u32, b: &u32| {
                 let [a, b] = [a, b].map(|i| samples.positions[*i as usize][axis]);
@@ -269,7 +270,7 @@ impl ContactVertices {
         Ok(())
     }
 
-    /// Visits all of them, some at a time.
+    /// Visits all vertices, some at a time.
     fn each(self, mut visit: impl FnMut(&[Vec3], &[u32]) -> Result<()>) -> Result<()> {
         let map = self.file.map()?;
         let all: &[[u32; 4]] = cast_slice(&map);
@@ -285,7 +286,7 @@ impl ContactVertices {
     }
 }
 
-/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found
+/// Finder of the sheets of vertices where sheets meet, by samples whose sheets are known. Its tables are made
 /// when the first vertices are [looked at](Self::of).
 pub(crate) struct Guides<'a> {
     contacts: &'a Contacts,
@@ -317,8 +318,8 @@ impl<'a> Guides<'a> {
         samples.iter().any(|sample| self.contacts.same_sheet(*sample as usize).is_some())
     }
 
-    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the
-    /// thread pool.
+    /// Sample of its sheet for each local position near such a sample. Not to be called by jobs of the thread
+    /// pool.
     pub fn find(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
         let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
         let mut guides = Vec::new();
@@ -330,7 +331,7 @@ impl<'a> Guides<'a> {
         guides
     }
 
-    /// Whether two samples are on one sheet, as far as it is known.
+    /// Whether two samples are on one sheet; `true` where that is not known.
     pub fn share_sheet(&self, a: u32, b: u32) -> bool {
         match [a, b].map(|sample| self.near().place(sample)) {
             [Some(a), Some(b)] => self.around().share_sheet(a as usize, b),
@@ -343,13 +344,13 @@ impl<'a> Guides<'a> {
         self.contacts.parted()
     }
 
-    /// The samples that share the cluster of one that a tree has, without that one.
+    /// Samples that share the cluster of one that a tree has, without that one.
     pub fn parted_from(&self, sample: u32) -> &[u32] {
         self.parted.get(&sample).map_or(&[], |parted| parted)
     }
 
-    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of
-    /// these each vertex is on.
+    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and the place
+    /// among these of each vertex's.
     pub fn sheets(&self, guides: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
         let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
         guides.clone().for_each(|guide| *counts.entry(guide).or_default() += 1);
@@ -376,17 +377,17 @@ impl<'a> Guides<'a> {
     }
 }
 
-/// How much worse than its own sample's a plane may suit a place that is kept nevertheless: homes are found
+/// Ratio by which a plane may suit a place worse than that of its own sample and yet be kept: homes are found
 /// with a few neighbours more or less than here.
 const AMBIGUOUS: f32 = 2.0;
 
-/// The tangent planes by which homes are told where sheets meet.
+/// Tangent planes by which homes are told where sheets meet.
 struct Tangents<'a> {
     samples: &'a SampleSet,
     normals: Vec<Vec3>,
-    /// The square of how far the last of the ring is from each.
+    /// Square of the distance of each sample from the last one of its ring.
     reach: Vec<f32>,
-    /// How far the samples around each are known, on whatever sheet.
+    /// Distance from each sample up to which all samples are known, on whatever sheet.
     known: Vec<f32>,
     /// The place of each sample in the lists; [`NONE`] where no sheets meet.
     place: Vec<u32>,
@@ -398,7 +399,7 @@ const NONE: u32 = u32::MAX;
 impl<'a> Tangents<'a> {
     /// The tangent planes of the samples near which sheets meet.
     ///
-    /// Memory: 20 bytes for each of them, and 4 per sample.
+    /// Memory: 20 bytes for each sample with a list, and 4 per sample.
     fn new(samples: &'a SampleSet, lists: &ContactLists, others: &[&[u32]]) -> Self {
         let of_samples = samples.normals();
         let normal = |i: &u32| {
@@ -428,9 +429,10 @@ impl<'a> Tangents<'a> {
         Self { samples, normals, reach, known, place }
     }
 
-    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
-    /// it about as well, or where it is so far from its own sample that others have their say before it, be
-    /// it that those of its own sheet do or that none of the samples around its own is near to it.
+    /// Whether the home of a place of sample `own` may be one of `others`: where one of their planes suits
+    /// the place about as well, or where the place is so far from `own` that others are decided on before
+    /// `own`, be it that those of its own sheet are or that none of the samples around `own` is near to the
+    /// place.
     fn may_be_of_others(&self, own: u32, others: &[u32], p: Vec3) -> bool {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let normal = |i: u32| self.normals[self.place[i as usize] as usize];
@@ -456,7 +458,7 @@ type SampleLists = BTreeMap<u32, Vec<u32>>;
 /// A sample near which sheets meet.
 struct Crowded {
     sample: u32,
-    /// How far as many neighbours are as a list may have.
+    /// Distance of the last of as many neighbours as a list may have.
     reach: f32,
     near: Vec<u32>,
     /// The neighbours that are on the sample's sheet, no more than a list may have, and those that are not.
@@ -470,7 +472,8 @@ const JOB: usize = 256;
 /// The nearest neighbours of a sample among which another sheet is looked for: a ring, and some more.
 const NEAREST: usize = 8;
 
-/// Samples that are met from one, at most: more of them are around one that stands for much of a model.
+/// Largest number of samples that are met from one: more of them are around one that stands for much of a
+/// model.
 const MOST_MET: usize = 256;
 
 /// The samples, ascending, among whose nearest are some on another sheet, if samples are at these positions
@@ -492,8 +495,8 @@ pub(crate) fn meeting(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>>
     Ok(found.flatten().collect())
 }
 
-/// Whether all of `near` are joined with a sample, or with one that is, as they mostly are: these are put
-/// into `ring`.
+/// Whether each sample of `near` is joined with `sample`, or with one that is, as is mostly so. `ring`
+/// becomes the samples that are joined with `sample`.
 fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -> bool {
     ring.clear();
     parted.each_joined(sample, |other| ring.push(other));
@@ -507,7 +510,7 @@ fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -
     near.iter().all(is_beside)
 }
 
-/// Whether all of `near` are met from a sample in few steps, over samples that faces join.
+/// Whether faces lead from a sample to each one of `near` in few steps.
 fn are_met(parted: &Parted, sample: u32, near: &[u32]) -> bool {
     let are_all = |met: &[u32]| near.iter().all(|j| met.contains(j));
     let each_joined = |sample, visit: &mut dyn FnMut(u32)| parted.each_joined(sample, visit);
@@ -533,7 +536,7 @@ pub(crate) fn crowded(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>>
 /// Memory: a byte per sample, and on each thread another one.
 fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLists, SampleLists) {
     let mut known = vec![false; samples.len()];
-    // Each with how far neighbours of the one are from which it was gone on to.
+    // Samples with the distance of the neighbours of the one from which each was gone on to.
     let mut open: Vec<(u32, f32)> = seeds.iter().map(|seed| (*seed, 0.0)).collect();
     open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
     let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
@@ -566,7 +569,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
         open.clear();
         for crowded in found {
             let Crowded { sample, reach, near, same, others: left } = crowded;
-            // What is beyond the list is beside others that are nearer.
+            // Samples of another sheet beyond the end of the list are beside others that are nearer.
             for near in &near[..end_of(&near, &same).max(SHEET_NEIGHBOURS.min(near.len()))] {
                 if !std::mem::replace(&mut known[*near as usize], true) {
                     open.push((*near, reach));
@@ -589,26 +592,26 @@ fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterat
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 
-/// Where the last of some of these is; their end, if that is farther off.
+/// Place in `near` of the last sample of `same`; the length of `near` if `same` is empty, or ends beyond it.
 fn end_of(near: &[u32], same: &[u32]) -> usize {
     same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(near.len()))
 }
 
-/// All but some of them, which are in the same order.
+/// Samples of `all` without `some` of them, which are in the same order.
 fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let mut some = some.iter().peekable();
     all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
 }
 
-/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists
-/// each that had not, with the other one.
+/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. Returns each
+/// sample that had not, with the other one.
 fn make_mutual(
     samples: &SampleSet,
     left_out: Vec<(u32, u32)>,
     lists: &mut BTreeMap<u32, Vec<u32>>,
 ) -> Vec<(u32, u32)> {
     let mut new = Vec::new();
-    // Of those without a list.
+    // Neighbours of samples without a list.
     let mut nearest: HashMap<u32, Vec<u32>> = HashMap::new();
     for (by, whom) in left_out {
         if let Some(list) = lists.get_mut(&by) {
@@ -633,10 +636,10 @@ struct WaySearch<'a> {
     parted: &'a Parted,
     /// The place of each sample among those that are looked at, from one on; 0 for others.
     places: Vec<u8>,
-    /// Where the joins of each begin, and to which places they lead, how far.
+    /// Start of each sample's joins, and for each join the place of the other sample and the distance to it.
     starts: Vec<usize>,
     joins: Vec<(u8, f32)>,
-    /// How far each is, and how far it may be.
+    /// Length of the shortest way found to each sample, and the most that it may be.
     lengths: Vec<f32>,
     most: f32,
 }
@@ -648,7 +651,8 @@ impl<'a> WaySearch<'a> {
         Self { positions, parted, places, starts, joins, lengths, most: 0.0 }
     }
 
-    /// Whether short ways are found at once from a sample to all those of `near`; they may be there if not.
+    /// Whether short ways are found at once from a sample to all of `near`; if not, there may still be such
+    /// ways.
     fn lead_to_all(&mut self, sample: u32, near: &[u32]) -> bool {
         self.join(sample, near);
         self.shorten();
@@ -691,8 +695,8 @@ impl<'a> WaySearch<'a> {
         found.into_iter().map(|(_, node)| node).collect()
     }
 
-    /// Looks up what is joined among a sample, which has the first place, and others around it, the nearest
-    /// first: fewer than 255.
+    /// Looks up the joins among a sample, which has the first place, and others around it, the nearest first:
+    /// fewer than 255.
     fn join(&mut self, sample: u32, near: &[u32]) {
         let Self { positions, parted, places, starts, joins, lengths, most } = self;
         let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);

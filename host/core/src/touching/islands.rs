@@ -19,17 +19,18 @@ use super::twins::FoundTwins;
 use crate::lists::lists;
 use crate::sampling::placement::FACES_OF_A_JOB;
 
-/// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on
-/// the way, while islands are still parts of larger ones.
+/// Largest number of links for each sample: beyond it, faces are a tangle that tells nothing. There may be
+/// more of them on the way, while islands are still parts of larger ones.
 const MOST_PER_SAMPLE: usize = 16;
 
-/// As many times more, where samples are few: each of them may stand for many sheets.
+/// Factor by which links may be more where samples are few: each of them may stand for many sheets.
 const MORE_OF_FEW: usize = 4;
 
 /// Links that are not tidied up yet.
 const LINKS_AT_EASE: usize = 1 << 18;
 
-/// Vertices, or links, that are looked at until it is told of their files.
+/// Number of vertices, or links, that are looked at between two calls of [`looked_at`] for their mapped
+/// files.
 const FEW: usize = 1 << 14;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
@@ -38,7 +39,7 @@ const LATEST: usize = 4;
 /// Links of a job that are remembered: more than are met along the border of a cluster.
 const REMEMBERED: usize = 1 << 10;
 
-/// Islands of a cluster that so many steps from island to island join are on one sheet.
+/// Number of steps from island to island within which islands of a cluster are on one sheet.
 const STEPS: usize = 4;
 
 /// Islands, while faces come.
@@ -47,18 +48,18 @@ const STEPS: usize = 4;
 /// whichever is more; a mapped temporary file of 4 bytes per vertex, and another one of 8 bytes for each link
 /// that finds no room.
 pub struct Islands {
-    /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
+    /// Distance of each vertex behind another one of its island; 0 for the first of an island.
     back: MapMut,
     latest: Vec<[[u32; 2]; LATEST]>,
     /// Vertices of different clusters that a face joins.
     links: Vec<[u32; 2]>,
-    /// How many links there may be until each is looked for but once, and at most.
+    /// Number of links above which links that are there twice are removed, and the most links that are held.
     limit: usize,
     most: usize,
     tangled: bool,
     /// Links that found no room, and why they could not be written, if so.
     spilled: Spilled,
-    /// What each of the jobs finds in the faces that are taken at once.
+    /// Findings of each job in the faces that are taken at once.
     jobs: Vec<FacesJob>,
 }
 
@@ -94,7 +95,7 @@ impl Spilled {
         self.count += links.len() as u64;
     }
 
-    /// Visits all of them, some at a time, as long as `visit` says so; nothing is left of them then.
+    /// Visits all links, some at a time, as long as `visit` says so; nothing is left of them then.
     fn drain(&mut self, mut visit: impl FnMut(&[[u32; 2]]) -> Result<bool>) -> Result<()> {
         if let Some(e) = self.failed.take() {
             return Err(e);
@@ -115,8 +116,8 @@ impl Spilled {
 }
 
 impl Islands {
-    /// Each vertex by itself, but for those that are known to be at one place. `sample_of` is the cluster of
-    /// each. A temporary file, should it be needed, is made in `folder`.
+    /// Islands of single vertices, but for those that are known to be at one place. `sample_of` is the
+    /// cluster of each. A temporary file, should it be needed, is made in `folder`.
     pub fn new(twins: FoundTwins, sample_of: &[u32], samples: usize, folder: &Path) -> Self {
         let mut islands = Self {
             back: twins.back,
@@ -167,7 +168,7 @@ impl Islands {
         let used = &mut jobs[..count];
         let unite = |(job, faces): (&mut FacesJob, &[[u32; 3]])| job.unite(sets, faces, clusters_of);
         used.par_iter_mut().zip(faces.par_chunks(FACES_OF_A_JOB)).for_each(unite);
-        // Links are of fewer vertices once all islands of these faces are what they will be.
+        // Links are of fewer vertices once all islands of these faces are joined.
         used.par_iter_mut().for_each(|job| job.link(sets));
         used.iter().flat_map(|job| &job.links).for_each(|link| self.link(*link));
         self.jobs = jobs;
@@ -218,7 +219,7 @@ impl Islands {
         vertex
     }
 
-    /// Each link once, by the islands as they are now.
+    /// Removes links that are there twice, by the islands as they are now.
     fn once_each(&self, links: &mut Vec<[u32; 2]>) {
         // Links are in about the vertices' order.
         let share = self.back.len() / links.len().max(1);
@@ -246,7 +247,7 @@ impl Islands {
     }
 
     /// Goes on with coarser clusters, of which `sample_of` has that of each vertex: islands that are linked
-    /// within one are one. To be called when the [graph](Self::graph) is known.
+    /// within one are joined. To be called when the [graph](Self::graph) is known.
     pub fn merge(&mut self, sample_of: &[u32], clusters: usize) {
         let sets = DisjointSets::new(&mut self.back);
         self.links.retain(|[u, v]| {
@@ -275,7 +276,7 @@ impl Islands {
         }
     }
 
-    /// Visits all links, some at a time: each once among these. Nothing is left of them then.
+    /// Visits all links, some at a time: each once among these. No link is left then.
     ///
     /// # Errors
     /// The temporary file could not be written, or read; `visit` failed.
@@ -305,8 +306,8 @@ impl Islands {
         are_too_many(self)
     }
 
-    /// All islands that are joined with others, unless they are a tangle: whatever order faces came in.
-    /// `sample_of` is the cluster of each vertex.
+    /// Graph of all islands that are joined with others, unless they are a tangle: whatever order faces came
+    /// in. `sample_of` is the cluster of each vertex.
     ///
     /// # Errors
     /// The temporary file could not be written, or read.
@@ -320,7 +321,7 @@ impl Islands {
             if links.len() > most {
                 self.once_each(&mut links);
             }
-            // Islands are what they will be: links only become more.
+            // Islands are complete: links only become more.
             Ok(links.len() <= most)
         })?;
         self.spilled = spilled;
@@ -344,7 +345,7 @@ impl Islands {
     }
 }
 
-/// Most links of so many samples.
+/// Largest number of links of so many samples.
 fn most_links(samples: usize) -> usize {
     let most = MOST_PER_SAMPLE * samples;
     most.max((MORE_OF_FEW * most).min(2 * LINKS_AT_EASE))
@@ -359,13 +360,13 @@ fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> VertexLink {
     if a < b { (a, [u, v]) } else { (b, [v, u]) }
 }
 
-/// What a job finds in some faces.
+/// Findings of one job in some faces.
 struct FacesJob {
     /// The faces with corners in several clusters, and these.
     crossing: Vec<([u32; 3], [u32; 3])>,
     /// Links, mostly each once.
     links: Vec<VertexLink>,
-    /// Some of these, at places that their vertices tell.
+    /// Some of these links, at places that their vertices tell.
     remembered: [[u32; 2]; REMEMBERED],
 }
 
@@ -420,7 +421,7 @@ impl FacesJob {
 /// first vertex gets its step once, so that in the end the least one is left, whatever the threads do.
 #[derive(Clone, Copy)]
 struct DisjointSets<'a> {
-    /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
+    /// Distance of each vertex behind another one of its island; 0 for the first of an island.
     back: &'a [AtomicU32],
 }
 
@@ -434,7 +435,8 @@ impl<'a> DisjointSets<'a> {
         self.back[vertex as usize].load(Relaxed)
     }
 
-    /// Corners of a face that are of one cluster are of one island. Whether it has others.
+    /// Joins corners of a face that are of one cluster. Returns whether the face has corners of several
+    /// clusters.
     #[inline]
     fn unite_corners(self, corners: [u32; 3], [a, b, c]: [u32; 3]) -> bool {
         let [u, v, w] = corners;
@@ -453,7 +455,7 @@ impl<'a> DisjointSets<'a> {
         true
     }
 
-    /// Whether the same vertex of their island is known of all.
+    /// Whether all three corners are known to be of one island: each is linked to the same vertex of it.
     #[inline]
     fn are_plainly_one(self, corners: [u32; 3]) -> bool {
         let [u, v, w] = corners.map(|corner| corner - self.back(corner));
@@ -503,7 +505,7 @@ pub struct ClusterGraph {
     firsts: Vec<u32>,
     /// The cluster and the first vertex of each further island, ascending.
     further: Vec<[u32; 2]>,
-    /// Whether a cluster has further islands.
+    /// Whether each cluster has islands besides its first.
     has_further: Vec<bool>,
     starts: Vec<u32>,
     joined: Vec<u32>,
@@ -586,7 +588,7 @@ impl ClusterGraph {
         self.joined.is_empty()
     }
 
-    /// How many islands may have a number.
+    /// Number of islands, first and further ones: the bound of their numbers.
     pub fn len(&self) -> u32 {
         (self.firsts.len() + self.further.len()) as u32
     }
@@ -625,7 +627,7 @@ impl ClusterGraph {
         several
     }
 
-    /// The clusters of which not all islands are joined by others around: those of several sheets, ascending.
+    /// Clusters of which not all islands are joined by others around: those of several sheets, ascending.
     pub fn parts(&self) -> Vec<Mixed> {
         self.several().into_par_iter().filter_map(|cluster| self.parts_of(cluster)).collect()
     }
@@ -635,15 +637,15 @@ impl ClusterGraph {
         Some(Mixed { cluster, parts })
     }
 
-    /// The parts of several islands that are not all joined by others around; `None` if they are one.
+    /// Parts of several islands that are not all joined by others around; `None` if they are one.
     pub fn parts_among(&self, islands: &[u32]) -> Option<Vec<Vec<u32>>> {
         let mut parts: Vec<Vec<u32>> = Vec::new();
         for island in islands {
             if parts.iter().any(|part| part.contains(island)) {
                 continue;
             }
-            // What is met from one that was met is of the same part: so it does not matter which is looked at
-            // first.
+            // Islands that are met from an island of a part are of the same part: so it does not matter which
+            // is looked at first.
             let (mut part, mut at) = (vec![*island], 0);
             while at < part.len() && part.len() < islands.len() {
                 let of_cluster = |island: &u32| islands.contains(island);
@@ -667,8 +669,9 @@ impl ClusterGraph {
     }
 }
 
-/// What is met within [`STEPS`] from one node of a graph, nearer ones first: at most so many, and no farther
-/// than until these are enough. `each_joined` visits the nodes that are joined with one.
+/// Nodes of a graph within [`STEPS`] of `start`, itself included, nearer ones first: at most `most`, and no
+/// farther than until the nodes that were met `are_enough`. `each_joined` visits the nodes that are joined
+/// with one.
 pub fn met_within(
     start: u32,
     most: usize,
@@ -783,7 +786,7 @@ mod tests {
         let vertices = 20_000;
         let sample_of: Vec<u32> = (0..vertices).map(|v| v / 30).collect();
         let samples = vertices.div_ceil(30) as usize;
-        // In no order, each of even vertices alone, or of odd ones: two islands of a cluster.
+        // Faces come in no order, each of even vertices alone, or of odd ones: two islands of a cluster.
         let face = |i: u32| [0, 1, 2].map(|k| random(i) % (vertices - 12) + random(3 * i + k) % 6 * 2);
         let faces: Vec<[u32; 3]> = (0..9 * FACES_OF_A_JOB as u32 + 5).map(face).collect();
         let threads = rayon::ThreadPoolBuilder::new().num_threads(4).build().expect("threads");
@@ -820,7 +823,8 @@ mod tests {
         assert!(graph.joined.is_empty() && islands.tangled);
     }
 
-    /// Two rows of vertices, each a cluster, whose links come before what makes an island of each row.
+    /// Two rows of vertices, each a cluster, whose links come before the faces that make an island of each
+    /// row.
     #[test]
     fn links_that_find_no_room_until_islands_are_whole_are_no_tangle() {
         let pairs = LINKS_AT_EASE as u32 + 1000;
@@ -835,7 +839,7 @@ mod tests {
         };
         let mut one = linked();
         (2..2 * pairs).for_each(|vertex| one.join(of(vertex - 2), of(vertex)));
-        // Another one has found what makes the islands, and is told of the links.
+        // Another set of islands has found the faces that make the islands, and is told of the links.
         let (mut two, mut from) =
             (Islands::new(no_twins(sample_of.len()), &sample_of, 2, &std::env::temp_dir()), linked());
         (2..2 * pairs).for_each(|vertex| two.unite_both(vertex, vertex - 2));
@@ -852,7 +856,7 @@ mod tests {
             assert!(!islands.tangled && graph.further.is_empty());
             assert_eq!((graph.joined(0), graph.joined(1)), (&[1][..], &[0][..]));
         }
-        // Without what makes islands of them, they are one.
+        // Links without those faces are a tangle.
         let mut tangle = linked();
         assert!(tangle.graph(&sample_of).expect("a file").joined.is_empty() && tangle.tangled);
     }

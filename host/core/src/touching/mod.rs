@@ -1,12 +1,12 @@
-//! Parts that touch: a closed fist, lips, cloth on skin. Where a model has faces, who is on whose sheet of
-//! the surface is told by how these connect it, however near two sheets come in space.
+//! Parts that touch: a closed fist, lips, cloth on skin. Where a model has faces, the sheet of each sample is
+//! told by how these connect the surface, however near two sheets come in space.
 //!
-//! While sampling reads the faces, `islands` finds what hangs together in each cluster, and which of these
-//! islands faces join. A place belongs to all faces there: most equal positions are found while the vertices
-//! stream (`twins`), and where a cluster turns out to hold two sheets, the others are welded first
-//! (`sorter`). Clusters that hold two sheets then are parted, one sample
-//! for each (`parting`). [`Contacts`] keeps who is on whose sheet near such places, and of which sheet the
-//! vertices are that their position alone would put on another one.
+//! While sampling reads the faces, `islands` finds the vertices that hang together in each cluster, and which
+//! of these islands faces join. A place belongs to all faces there: most equal positions are found while the
+//! vertices stream (`twins`), and where a cluster turns out to hold two sheets, the others are welded first
+//! (`sorter`). Clusters that hold two sheets then are parted, one sample for each (`parting`). [`Contacts`]
+//! keeps the sheets of the samples near such places, and those of the vertices that their position alone
+//! would put on another one.
 //!
 //! Two sheets may also meet in clusters beside each other, of which each holds but one, as normals part them
 //! first: there a sample has some among its nearest that faces do not join with it. Where there are none of
@@ -27,5 +27,5 @@ pub(crate) use islands::Islands;
 pub(crate) use parting::{ClusterParts, Parted, Parting};
 pub(crate) use twins::{FoundTwins, TwinSearch, Twins, may_be_there as twins_may_be_there};
 
-/// What the user can do where a temporary file has no room.
+/// Advice to the user where a temporary file has no room.
 const ADVICE: &str = "do without them, by --skip sheets";

@@ -1,4 +1,4 @@
-//! Pairs of vertices that come in no order, put into about the vertices' order: what is looked up for them is
+//! Pairs of vertices that come in no order, put into about the vertices' order: their entries in a file are
 //! near each other then, and little of a large file has to be in memory at a time.
 
 use std::path::Path;
@@ -35,7 +35,7 @@ pub struct Pairs<'a> {
 }
 
 impl<'a> Pairs<'a> {
-    /// No pair yet, of so many vertices. The file goes to `folder`.
+    /// Empty list, for a model of `vertices` vertices. The file goes to `folder`.
     pub fn new(vertices: u64, folder: &'a Path) -> Self {
         let width = vertices.div_ceil(RANGES).max(LEAST);
         let held = vec![Vec::new(); vertices.div_ceil(width) as usize];
@@ -63,7 +63,7 @@ impl<'a> Pairs<'a> {
         Ok(())
     }
 
-    /// Visits all pairs, those of one range after those of another.
+    /// Visits all pairs, range by range of their vertices.
     ///
     /// # Errors
     /// The temporary file cannot be read.

@@ -26,24 +26,25 @@ use crate::sampling::ranges::joined;
 /// sheets, one with less than half of what each would have if all were equal.
 const LEAST_PART: f64 = 0.125;
 
-/// One of so many samples at most goes to parts that could join clusters nearby: the others are taken from
-/// all of the model.
+/// Number of samples of which at most one goes to parts that could join clusters nearby: the others are taken
+/// from all of the model.
 const MOST_OF_ALL: usize = 32;
 
 /// Samples that may go to such parts in any case.
 const FEW: usize = 128;
 
-/// Where parts want more than one of so many samples, as those of a thin wall do, all clusters become larger.
+/// Ratio of samples to parts that want one of their own, below which all clusters become larger, as for the
+/// parts of a thin wall.
 const MANY: usize = 4;
 
-/// Bytes of temporary files for each vertex while what is at the same position is joined.
+/// Bytes of temporary files for each vertex while vertices at the same position are joined.
 const BYTES_OF_A_PLACE: u64 = 20;
 
-/// What parts are looked for in.
+/// Model and cells in which parts are looked for.
 pub struct Parting<'a> {
     /// The model.
     pub model: &'a dyn Model,
-    /// Where the vertices of each cell are.
+    /// Ranges of the stream with each cell's vertices.
     pub ranges: &'a [Vec<Range<u64>>],
     /// Local coordinates.
     pub frame: Frame,
@@ -67,7 +68,8 @@ impl ClusterSheet {
         (cluster, parts.into_iter().map(sheet).collect())
     }
 
-    /// The larger ones first, and of equal ones by where they are: vertices may come in any order.
+    /// Order of sheets: larger ones first, and equal ones by their positions, as vertices may come in any
+    /// order.
     fn by_size(&self, other: &Self) -> Ordering {
         let larger = other.moments.count().total_cmp(&self.moments.count());
         larger.then_with(|| by_place(self.moments.mean().as_vec3(), other.moments.mean().as_vec3()))
@@ -84,13 +86,13 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
 pub struct ClusterParts {
     graph: ClusterGraph,
     mixed: Vec<(u32, Vec<ClusterSheet>)>,
-    /// The parts of mixed clusters that shall get samples of their own: first those with nothing of their own
-    /// sheet beside them, so many, and then the others; in both the largest first.
+    /// Parts of mixed clusters that shall get samples of their own: first the `alone` ones with nothing of
+    /// their own sheet beside them, and then the others; in both the largest first.
     wanted: Vec<(usize, usize)>,
     alone: usize,
 }
 
-/// What the clusters come to.
+/// Clusters parted by sheets: the sample of each part, and new samples.
 pub struct Parted {
     graph: ClusterGraph,
     /// The sample that each island belongs to.
@@ -98,11 +100,11 @@ pub struct Parted {
     /// A cluster of each sample, and the sample of each cluster, if these are not the same.
     cluster_of: Vec<u32>,
     becomes: Option<Vec<u32>>,
-    /// Whether a sample has more or fewer islands than its cluster; which, is in the next.
+    /// Whether each sample has other islands than its cluster; `islands_of` has these.
     has_own: Vec<bool>,
     /// The islands of samples that have more or fewer than their cluster.
     islands_of: HashMap<u32, Vec<u32>>,
-    /// Whether a cluster is one of several sheets.
+    /// Whether each cluster is one of several sheets.
     mixed: Vec<bool>,
     /// The new position and normal of each sample that stands for another part than it did.
     pub moved: Vec<(u32, Vec3, Vec3)>,
@@ -115,7 +117,7 @@ pub struct Parted {
 }
 
 impl Parting<'_> {
-    /// Joins what is at the same position, everywhere: for models whose faces share no vertices.
+    /// Joins vertices at the same position, everywhere: for models whose faces share no vertices.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -126,7 +128,7 @@ impl Parting<'_> {
         self.weld(all, islands, sample_of).map(|_| ())
     }
 
-    /// Joins what is at the same position in some ranges; whether there was anything to join.
+    /// Joins vertices at the same position in some ranges; returns whether there were any to join.
     fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<bool> {
         let mut sorter = Sorter::new(self.folder);
         self.vertices(
@@ -210,7 +212,7 @@ impl Parting<'_> {
         Ok(ClusterParts::new(graph, found))
     }
 
-    /// Where the cells are that hold vertices of chosen samples.
+    /// Ranges of the stream with the cells that hold vertices of chosen samples.
     pub fn ranges_with(&self, trees: &[CutTree], chosen: impl Fn(u32) -> bool) -> Vec<Range<u64>> {
         let of_chosen = |tree: &CutTree| tree.samples.iter().any(|sample| chosen(*sample));
         let cells = trees.iter().zip(self.ranges).filter(|(tree, _)| of_chosen(tree));
@@ -280,27 +282,28 @@ impl ClusterParts {
         parts
     }
 
-    /// Whether there is no cluster of several sheets.
+    /// Whether no cluster is of several sheets.
     pub fn is_empty(&self) -> bool {
         self.mixed.is_empty()
     }
 
-    /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more
+    /// Number of new samples that parts shall have, for `samples` in all: as many as they need, but no more
     /// than [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
     pub fn needed(&self, samples: usize) -> usize {
         self.wanted.len().min(self.alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
-    /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not
-    /// each of these could get one of `wanted` samples: so many fewer that they can.
+    /// Number of clusters that there shall be instead of `clusters`, where so many hold several sheets that
+    /// not each of these could get one of `wanted` samples: so many fewer that they can. `None` where they
+    /// can already, or where parts that want a sample are no more than one in [`MANY`] of `wanted`.
     pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
         let more = self.wanted.len();
         let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;
         (more > wanted / MANY && clusters + more > wanted).then_some(fewer.max(1))
     }
 
-    /// For each mixed cluster, which of its parts keeps its sample, and which get one of at most so many new
-    /// ones, where there are so many clusters: the largest, unless sheets of many are to share few samples.
+    /// Parts of mixed clusters that have samples, where at most `most` new ones are for so many clusters: the
+    /// largest parts, unless sheets of many clusters are to share few samples.
     fn holders(&self, clusters: usize, most: usize) -> Holders {
         let none = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
         let mut holders = Holders { keeps: vec![0; self.mixed.len()], new: none };
@@ -348,8 +351,8 @@ impl ClusterParts {
         self.mixed.binary_search_by_key(&cluster, |(mixed, _)| *mixed).is_ok()
     }
 
-    /// The clusters, ascending, that would be of one sample with others, and that sample's of several sheets,
-    /// where the cut has become coarser: `becomes` says of which sample each is, of so many.
+    /// Clusters, ascending, that would share a sample with others though that sample would be of several
+    /// sheets, where the cut has become coarser: `becomes` is the sample of each, of `samples`.
     pub fn joining_sheets(&self, becomes: &[u32], samples: usize) -> Vec<u32> {
         let clusters = 0..self.graph.clusters() as u32;
         let (starts, members) = lists(samples, clusters.map(|cluster| (becomes[cluster as usize], cluster)));
@@ -363,9 +366,9 @@ impl ClusterParts {
         joined
     }
 
-    /// Parts the clusters, with at most so many new samples. Where the cut has become coarser meanwhile,
-    /// `becomes` says of which sample each cluster is now, which none of several sheets shares; `samples` is
-    /// where these are.
+    /// Parts the clusters, with at most `most` new samples. Where the cut has become coarser meanwhile,
+    /// `becomes` is the sample of each cluster now, which none of several sheets shares; `samples` are the
+    /// samples' positions.
     pub fn part(self, samples: &[Vec3], becomes: Option<&[u32]>, most: usize) -> Parted {
         let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
         let mut given = GivenSamples::new(&self, samples, of, most);
@@ -402,7 +405,7 @@ impl ClusterParts {
         self.mixed.iter().flat_map(|(_, parts)| parts).flat_map(|part| &part.islands).copied()
     }
 
-    /// A cluster of each of so many samples, and all of those that have more than one.
+    /// Cluster of each of `samples` samples, and all clusters of those that have more than one.
     fn clusters_of(&self, samples: usize, of: impl Fn(u32) -> u32) -> (Vec<u32>, HashMap<u32, Vec<u32>>) {
         let mut cluster_of = vec![OPEN; samples];
         let mut merged: HashMap<u32, Vec<u32>> = HashMap::new();
@@ -443,7 +446,7 @@ impl ClusterParts {
     }
 }
 
-/// Which parts of mixed clusters have samples.
+/// Parts of mixed clusters that have samples.
 struct Holders {
     /// The part of each cluster that keeps its sample.
     keeps: Vec<usize>,
@@ -451,14 +454,14 @@ struct Holders {
     new: Vec<Vec<bool>>,
 }
 
-/// The sample of what has none yet.
+/// Sample of an island that has none yet.
 const OPEN: u32 = u32::MAX;
 
 /// The samples that parts of clusters are given.
 struct GivenSamples {
     /// The sample of each island.
     sample: Vec<u32>,
-    /// As of [`Parted`].
+    /// Samples that are moved, as in [`Parted`].
     moved: Vec<(u32, Vec3, Vec3)>,
     added: Vec<(u32, Vec3, Vec3)>,
     /// The parts that got none of their own: which of the mixed clusters, and which of its parts.
@@ -496,8 +499,8 @@ impl GivenSamples {
         sheet.islands.iter().for_each(|island| self.sample[*island as usize] = to);
     }
 
-    /// What has no sample of its own joins the nearest one that faces join it with, and what has none of
-    /// these either stays with its cluster.
+    /// Joins each part without a sample of its own to the nearest sample that faces join it with; a part that
+    /// faces join with none stays with its cluster.
     fn join_open(&mut self, parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
         let moved_to: HashMap<u32, Vec3> = self.moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
         while !self.open.is_empty() {
@@ -521,7 +524,7 @@ impl GivenSamples {
         }
     }
 
-    /// The sample among those of some islands that is nearest to the middle of a sheet, if they have any.
+    /// Sample among those of some islands that is nearest to the middle of a sheet, if these have any.
     fn nearest(
         &self,
         islands: impl Iterator<Item = u32>,
@@ -573,7 +576,7 @@ impl Parted {
         });
     }
 
-    /// Visits the samples that faces join with one; some of them several times.
+    /// Visits the samples that faces join with `sample`; some of them several times.
     #[inline]
     pub fn each_joined(&self, sample: u32, mut visit: impl FnMut(u32)) {
         let mut of_island = |island: u32| {

@@ -103,12 +103,12 @@ impl PlaceSamples {
         entry(hash_of(p.as_dvec3()), sample)
     }
 
-    /// The sample of the sheet that a local position is on, if it is such a place.
+    /// Sample of the sheet that a local position is on, if it is such a place.
     pub fn sample_at(&self, p: Vec3) -> Option<u32> {
         self.find(p).map(|at| self.all()[at][2])
     }
 
-    /// The number of a local position among all entries, if it is such a place.
+    /// Number of a local position among all entries, if it is such a place.
     pub fn find(&self, p: Vec3) -> Option<usize> {
         let all = self.all();
         if all.is_empty() {
@@ -124,7 +124,7 @@ impl PlaceSamples {
         self.all().chunks(COPIED).try_for_each(|places| to.write_all(cast_slice(places)))
     }
 
-    /// Reads so many of them, for so many samples; `None` if they are not in order, or speak of samples that
+    /// Reads so many of them, for so many samples; `None` if they are not in order, or refer to samples that
     /// there are not. A temporary file, should it be needed, is made in `folder`.
     pub fn read(
         mut from: impl Read,
@@ -165,7 +165,7 @@ mod tests {
             for i in (0..count).rev() {
                 sorter.push(PlaceSamples::entry(place(i), i % 50)).expect("room");
             }
-            // One that two sheets share.
+            // Place that two sheets share.
             sorter.push(PlaceSamples::entry(place(7), 40)).expect("room");
             let places = PlaceSamples::build(sorter, samples, &folder).expect("room");
             assert_eq!(matches!(places, PlaceSamples::Mapped(_)), count > 400);

@@ -1,4 +1,4 @@
-//! Vertices at the same position as an earlier one that is not far before them in the file: what hangs
+//! Twins: vertices at the same position as an earlier one that is not far before them in the file. They hang
 //! together along the seams of a mesh whose faces share no vertices there, as far as little memory tells.
 
 use std::path::Path;
@@ -26,8 +26,8 @@ const BLOCK: usize = 64;
 /// Numbers written at a time.
 const BUFFER: usize = 1 << 16;
 
-/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices
-/// needs to look at few others to find what a search of all of them finds.
+/// Length of runs of vertices, none of which is compared with those before the run: so a unit with a part of
+/// the vertices needs to look at few others to find what a search of all of them finds.
 const RUN: u64 = 1 << 20;
 
 /// Finds twins while the vertices stream.
@@ -37,7 +37,7 @@ pub struct Twins {
     file: Scratch,
     buffer: Vec<u32>,
     written: u64,
-    /// None where positions are not looked at.
+    /// Search for twins; `None` where positions are not looked at.
     search: Option<TwinSearch>,
     found: u64,
 }
@@ -46,8 +46,8 @@ pub struct Twins {
 ///
 /// Memory: 3.1 MiB.
 pub struct TwinSearch {
-    /// The hash of a position and a vertex there, at a place that the hash tells; and the same of the latest
-    /// ones.
+    /// Hash of a position and a vertex there, at a place that the hash tells; and the same of the latest
+    /// vertices.
     remembered: Vec<HashedNumber>,
     latest: Vec<HashedNumber>,
     next: u64,
@@ -55,14 +55,14 @@ pub struct TwinSearch {
 
 /// The vertices at one place that were found.
 pub struct FoundTwins {
-    /// For each vertex, how far before it one at the same position is; 0 where none is known.
+    /// Distance of each vertex behind one at the same position; 0 where none is known.
     pub back: MapMut,
-    /// How many vertices have one.
+    /// Number of vertices that have such an earlier one.
     pub count: u64,
 }
 
 impl FoundTwins {
-    /// What is in a file of the numbers of all vertices.
+    /// Twins from a file with the numbers of all vertices, as `back` has them.
     ///
     /// # Errors
     /// The file cannot be mapped.
@@ -72,7 +72,7 @@ impl FoundTwins {
         Ok(Self { back, count })
     }
 
-    /// Nothing found among so many vertices, which are not none.
+    /// Empty findings for a model of `vertices` vertices, at least one.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -88,16 +88,16 @@ impl FoundTwins {
     }
 }
 
-/// Whether a model of so many vertices and faces has vertices at one place that are worth looking for: where
-/// faces share their vertices, there are hardly any.
+/// Whether a model of so many vertices and faces may have vertices at one place that are worth looking for:
+/// where faces share their vertices, there are hardly any.
 pub fn may_be_there(vertices: u64, faces: u64) -> bool {
     // A closed mesh of triangles has half as many vertices as faces.
     20 * u128::from(vertices) > 11 * u128::from(faces)
 }
 
 impl Twins {
-    /// A search without vertices yet, for a model with so many vertices and faces. Where there are hardly
-    /// [any](may_be_there), they are not looked for. The file goes to `folder`.
+    /// Search without vertices yet, for a model with `vertices` vertices and `faces` faces. Where there are
+    /// hardly [any](may_be_there), they are not looked for. The file goes to `folder`.
     ///
     /// # Errors
     /// The file cannot be made.
@@ -135,7 +135,7 @@ impl Twins {
         Ok(())
     }
 
-    /// What was found.
+    /// Twins of all vertices that were pushed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -146,8 +146,8 @@ impl Twins {
 }
 
 impl TwinSearch {
-    /// The vertex from which on one has to look at vertices to find what a search of all of them finds of
-    /// this one and those behind it.
+    /// Vertex from which on one has to look at vertices to find what a search of all of them finds of this
+    /// one and those behind it.
     pub fn first_for(vertex: u64) -> u64 {
         vertex - vertex % RUN
     }
@@ -157,16 +157,17 @@ impl TwinSearch {
         Self { remembered: none(REMEMBERED), latest: none(LATEST), next: first }
     }
 
-    /// Looks at the next vertices: how far before each of them one at the same position is, or 0.
+    /// Finds for each of the next vertices its distance behind one at the same position, or 0.
     pub fn take(&mut self, positions: &[DVec3], back: &mut Vec<u32>) {
         positions.chunks(BLOCK).for_each(|block| _ = self.look_at(block, back));
     }
 
-    /// Looks for the twins of a block of vertices; gives how many were found.
+    /// Looks for the twins of a block of vertices; returns the number that was found.
     fn look_at(&mut self, block: &[DVec3], to: &mut Vec<u32>) -> u64 {
         let mut hashes = [0; BLOCK];
         hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
-        // What is remembered comes from memory for all of them at once, rather than for one after the other.
+        // The entries for all vertices of a block are fetched from memory at once, rather than one after the
+        // other.
         let touched = hashes.iter().map(|hash| self.remembered[*hash as usize % REMEMBERED][0]);
         std::hint::black_box(touched.fold(0, u32::wrapping_add));
         let mut found = 0;
@@ -197,7 +198,7 @@ impl TwinSearch {
     }
 }
 
-/// A table of so many entries, all of no vertex.
+/// Table of `entries` entries, all of no vertex.
 fn none(entries: usize) -> Vec<HashedNumber> {
     vec![[0, 0, u32::MAX]; entries]
 }
@@ -244,7 +245,7 @@ mod tests {
     /// A search of a part of the vertices finds what a search of all of them does.
     #[test]
     fn parts_find_what_all_do() {
-        // Three at each place, some of them far from each other, and some that are nowhere.
+        // Three vertices at each place, some of them far from each other, and some that are nowhere.
         let place =
             |i: u64| if i.is_multiple_of(101) { f64::NAN } else { ((i / 3) ^ ((i % 5 / 4) << 9)) as f64 };
         let all: Vec<DVec3> = (0..2 * RUN + 70_000).map(|i| DVec3::splat(place(i))).collect();

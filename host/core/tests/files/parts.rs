@@ -116,7 +116,7 @@ fn parts_in_any_order_are_the_model_that_is_written_at_once() {
                     // Again, there is nothing to be done.
                     let before = fs::read(&work.parts(count)[part as usize]).unwrap();
                     assert!(!work.write(part, count, &how, &Silent).unwrap());
-                    // Lost, it becomes what it was.
+                    // A part that is lost is written again with the same bytes.
                     fs::remove_file(&work.parts(count)[part as usize]).unwrap();
                     assert!(work.write(part, count, &how, &Silent).unwrap());
                     assert!(before == fs::read(&work.parts(count)[part as usize]).unwrap());
@@ -129,7 +129,7 @@ fn parts_in_any_order_are_the_model_that_is_written_at_once() {
                 if work.shares(&how) {
                     let error = work.join(&parts, &how).unwrap_err().to_string();
                     assert!(error.contains("are gone"), "{error}");
-                    // What the parts speak of is gone: they are written again.
+                    // A part whose bytes in the shared file are gone is written again.
                     assert!(work.write(0, count, &how, &Silent).unwrap());
                     fs::remove_file(work.path("shared")).unwrap();
                 }
@@ -173,7 +173,7 @@ fn check_wrong(extension: &str) {
     for end in [0, 7, 8, 100, good.len() - 1] {
         write_file(&parts[1], &good[..end]).unwrap();
         assert!(message(&parts, &how).contains("is damaged"), "{end} bytes");
-        // It is written again where it is asked for.
+        // A damaged part is written again where that is asked for.
         assert!(work.write(1, 3, &how, &Silent).unwrap());
     }
     fs::remove_file(&parts[1]).unwrap();
@@ -215,7 +215,7 @@ fn who_cancels_leaves_nothing() {
     for times in 1..4 {
         let error = work.write(0, 1, &how, &Cancelling(AtomicU64::new(times))).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Cancelled);
-        // What is shared stays, for the others.
+        // The shared file stays, for the other parts.
         assert!(work.files() <= 2 && !work.parts(1)[0].exists());
     }
 }

@@ -52,7 +52,7 @@ impl Good {
         put(&self.folder.path().join(name), bytes);
     }
 
-    /// Does with the folder what commands do. Errors are fine.
+    /// Uses the folder as commands do. Errors are fine.
     fn use_it(&self) {
         let at = |name: &str| self.folder.path().join(name);
         let Ok(mut sampled) = SampledModel::load(&at("m.simod")) else { return };
@@ -124,7 +124,7 @@ fn damaged_models_do_no_harm() {
     }
 }
 
-/// The files of a sampled folder, whose checksums fit what is damaged.
+/// Files of a sampled folder, whose checksums fit the damaged content.
 #[test]
 fn damaged_folders_do_no_harm() {
     let good = Good::new(PlyEncoding::BinaryLittleEndian);
@@ -162,7 +162,7 @@ fn damaged_folders_do_no_harm() {
         Ok(())
     });
     tested.expect("no panic");
-    // And what was put back is as good as it was.
+    // The files that were put back are as good as they were.
     let again = SampledModel::load(&good.folder.path().join("m.simod")).expect("a sampled model");
     assert_eq!(again.samples.positions, good.sampled.samples.positions);
 }

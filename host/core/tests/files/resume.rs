@@ -25,7 +25,7 @@ struct Work {
     deformed: Vec<DeformedPositions>,
 }
 
-/// Less than most pieces of the model: so nearly every piece ends a part.
+/// Size of a part in bytes of the model, less than most pieces: so nearly every piece ends a part.
 const PART: u64 = 200_000;
 
 impl Work {
@@ -97,7 +97,8 @@ fn how(resume: bool) -> Reconstruction<'static> {
 /// Names and contents.
 type Files = Vec<(PathBuf, Vec<u8>)>;
 
-/// What a process leaves that is killed, at each time that anything is reported: copies of all hidden files.
+/// Copies of all hidden files, taken each time that anything is reported: the files that a process leaves
+/// which is killed then.
 struct Snapshots<'a> {
     folder: &'a Path,
     taken: Mutex<Vec<Files>>,
@@ -151,7 +152,7 @@ fn put(path: &Path, bytes: &[u8]) {
     fs::File::create(path).unwrap().write_all(bytes).unwrap();
 }
 
-/// Collects notes, and cancels after so many bytes.
+/// Collector of notes, which cancels after so many bytes.
 struct Watch {
     cancel_after: u64,
     done: AtomicU64,
@@ -220,7 +221,7 @@ fn without_resume_leftovers_are_replaced() {
     });
 }
 
-/// Interrupts version 1 past its middle, with the parts kept; what the hidden files are called.
+/// Interrupts version 1 past its middle, with the parts kept; returns the paths of the hidden files.
 fn interrupted(work: &Work, how: &Reconstruction) -> (PathBuf, PathBuf) {
     let watch = Watch::new(work.model.info().bytes * 2 / 3);
     let error = work.write(&[1], how, &watch).unwrap_err();
@@ -241,7 +242,7 @@ fn cancelling_keeps_parts_only_where_they_are_wanted() {
         assert!(!error.hint().contains("--resume"));
         assert!(work.names().is_empty());
     }
-    // Where no part is done there is nothing to keep.
+    // A call that has finished no part has nothing to keep.
     let error = work.write(&[1], &how(true), &Watch::new(0)).unwrap_err();
     assert!(!error.hint().contains("--resume"));
     assert!(work.names().is_empty());
@@ -298,7 +299,7 @@ fn what_is_damaged_is_done_again() {
         assert_eq!(resumed(&watch), 0);
         assert!(watch.note().contains("starting anew"), "{}", watch.note());
     }
-    // One without the other.
+    // A part without its journal, and a journal without its part.
     put(&part, &bytes);
     assert_eq!(resumed(&Watch::new(u64::MAX)), 0);
     put(&journal, &record);

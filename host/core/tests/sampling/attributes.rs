@@ -158,11 +158,11 @@ fn values_are_means_over_the_nearest_vertices_in_any_file() {
             let means = |value: &dyn Fn(usize) -> f64| means(&sampled, &painted.positions, value);
             close("red", means(&|i| f64::from(painted.red[i])));
             close("level", means(&|i| f64::from(painted.level[i])));
-            // What is too large is the largest that samples can have.
+            // A number that is too large becomes the largest that samples can have.
             close("huge", means(&|i| painted.huge[i].min(f64::from(f32::MAX))));
             let quality = means(&|i| f64::from(painted.quality[i]));
             close("quality", quality.clone());
-            // Where it is not known, it is that of the nearest sample where it is.
+            // A sample without a value gets that of the nearest sample that has one.
             let samples = &sampled.samples.positions;
             let far = (0..samples.len()).filter(|i| quality[*i].is_none());
             let mut count = 0;

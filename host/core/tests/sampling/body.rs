@@ -1,4 +1,4 @@
-//! Models in memory, and how they are sampled.
+//! Models in memory, and their sampling.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,7 +15,7 @@ use simod_model::write_points;
 #[derive(Debug, Clone, Default)]
 pub struct Body {
     pub positions: Vec<DVec3>,
-    /// One for each position, or none at all.
+    /// Normal of each position; empty if the model has none.
     pub normals: Vec<Vec3>,
     pub faces: Vec<[u32; 3]>,
 }
@@ -63,7 +63,7 @@ impl Body {
             .unwrap();
     }
 
-    /// Samples it, and checks that nothing is left of it on the disk.
+    /// Samples the model, and checks that nothing is left of it on the disk.
     pub fn sampled(&self, sampling: Sampling) -> SampledModel {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
@@ -90,7 +90,7 @@ pub fn distances<'a>(sampled: &'a SampledModel, vertices: &'a [DVec3]) -> impl I
     })
 }
 
-/// The largest of them.
+/// Largest distance of a vertex from its nearest sample.
 pub fn worst_distance(sampled: &SampledModel, vertices: &[DVec3]) -> f32 {
     // Not by `f32::max`, which passes over NaN.
     distances(sampled, vertices).max_by(f32::total_cmp).unwrap()

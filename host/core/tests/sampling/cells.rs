@@ -1,4 +1,4 @@
-//! What is kept of the cells, and how it comes back.
+//! Cells that are kept beside the samples, saved and loaded.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -74,12 +74,12 @@ fn write(path: &Path, bytes: &[u8]) {
     File::create(path).unwrap().write_all(bytes).unwrap();
 }
 
-/// Checks what holds for all trees, and calls `visit` with the error of each node, that of its parent, and
-/// whether it is a leaf.
+/// Checks the rules that hold for all trees, and calls `visit` with the error of each node, that of its
+/// parent, and whether it is a leaf.
 fn walk(cell: &KeptCell, mut visit: impl FnMut(f32, f32, bool)) {
     let tree = &cell.tree;
     assert_eq!(tree.children.len(), tree.errors.len());
-    // For each open ancestor: the children that are still to come, and its error.
+    // Children that are still to come of each open ancestor, and the ancestor's error.
     let mut open: Vec<(u8, f32)> = Vec::new();
     for (at, (children, error)) in tree.children.iter().zip(&tree.errors).enumerate() {
         let above = match open.last_mut() {

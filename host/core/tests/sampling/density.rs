@@ -1,4 +1,4 @@
-//! What samples are spread by, where a small part of a model has many of its vertices.
+//! Measures by which samples are spread, where a small part of a model has many of its vertices.
 
 use glam::{DVec3, Vec3};
 use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
@@ -10,7 +10,7 @@ use simod_model::progress::Silent;
 use crate::body::{Body, rms_distance, sample_file, worst_distance};
 use crate::cells::Saved;
 
-/// Area of the sphere over that of the cap.
+/// Ratio of the sphere's area to that of the cap.
 const RATIO: f64 = 1e6;
 
 /// Half of the vertices of a unit sphere are evenly in a cap about +z, the others evenly elsewhere.
@@ -18,7 +18,7 @@ fn sphere_with_a_dense_cap(vertices: u32) -> Body {
     let half = vertices / 2;
     let point = |i: u32| {
         let part = |i: u32| (f64::from(i) + 0.5) / f64::from(half);
-        // How far it is below the pole.
+        // Distance of the point below the pole.
         let (edge, turn) = (2.0 / RATIO, 2.399_963_229_728_653 * f64::from(i));
         let below = if i < half { edge * part(i) } else { edge + (2.0 - edge) * part(i - half) };
         let radius = (below * (2.0 - below)).sqrt();
@@ -52,7 +52,7 @@ fn finer_parts_get_finer_samples() {
         assert!(in_cap(error) < 50 && in_cap(area) < 50, "{} and {}", in_cap(error), in_cap(area));
         let found = in_cap(vertices);
         assert!((2000..5000).contains(&found), "{found} samples in the cap");
-        // What the others lose: a third of the samples less, and so a fifth of the distance more.
+        // Loss of the rest of the sphere: a third of the samples less, and so a fifth of the distance more.
         let rest = &body.positions[100_000..];
         let worse = |s| (rms_distance(s, rest), worst_distance(s, rest));
         let ((rms, worst), (rms_before, worst_before)) = (worse(vertices), worse(error));
@@ -60,7 +60,7 @@ fn finer_parts_get_finer_samples() {
             rms < 1.4 * rms_before && worst < 1.5 * worst_before,
             "{rms} of {rms_before}, {worst} of {worst_before}"
         );
-        // What the cap gains.
+        // Gain of the cap.
         let cap = &body.positions[..100_000];
         assert!(rms_distance(vertices, cap) < 0.1 * rms_distance(error, cap));
     }
@@ -89,7 +89,7 @@ fn by_area_samples_are_as_far_apart_everywhere() {
     assert!(rms(&even) < rms(&bent), "{} and {}", rms(&even), rms(&bent));
 }
 
-/// Where vertices are as near to each other everywhere, there is nothing to add.
+/// A model whose vertices are as near to each other everywhere is sampled as by error.
 #[test]
 fn an_even_model_is_sampled_by_error() {
     let body = Body::generated(Shape::BumpyPlane, 60_000);
@@ -112,7 +112,7 @@ fn a_bound_holds_whatever_samples_are_spread_by() {
     }
 }
 
-/// The folder says it, cells that are made again are the same, and a refinement goes on as it was begun.
+/// The folder names the measure, cells that are made again are the same, and a refinement goes on by it.
 #[test]
 fn the_rule_is_kept() {
     let body = sphere_with_a_dense_cap(60_000);

@@ -21,7 +21,7 @@ use tempfile::TempDir;
 
 use crate::body::Body;
 
-/// More than twenty pieces of the stream.
+/// Number of vertices: more than twenty pieces of the stream.
 const VERTICES: u64 = 140_000;
 
 struct Work {
@@ -33,7 +33,7 @@ struct Work {
     face_units: u64,
 }
 
-/// What units leave each other of the faces.
+/// Files on the faces that units leave each other.
 struct OfFaces {
     runs: PathBuf,
     cut: PathBuf,
@@ -66,13 +66,13 @@ impl Work {
         Self::of_file(folder, &path, sampling)
     }
 
-    /// Of a file, or some by their pattern, in a folder that has nothing else.
+    /// Work on a file, or on several by their pattern, in a folder that has nothing else.
     fn of_file(folder: TempDir, path: &Path, sampling: Sampling) -> Self {
         let model = simod_model::open(path).unwrap();
         Self { folder, model, sampling, units: 0, face_units: 0 }
     }
 
-    /// Of faces with these corners in the place of the body's triangles.
+    /// Work on faces with these corners in the place of the body's triangles.
     fn of_polygons(body: &Body, faces: &[Vec<u32>], sampling: Sampling) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
@@ -119,7 +119,7 @@ impl Work {
         reads_faces(&*self.model, &self.sampling).unwrap()
     }
 
-    /// The cut, of which others find the samples of vertices and what the faces tell.
+    /// Makes the cut, by which other units find the samples of vertices and the findings in faces.
     fn cut_for_faces(&self) -> Result<bool> {
         let counts = self.path("counts");
         let division = UnitDivision { counts: &counts, units: self.units };
@@ -190,7 +190,8 @@ impl Work {
         sampled?.save(&self.path("divided.simod"))
     }
 
-    /// All by so many units, each stage from its end, and twice; what was noted in the end.
+    /// Does all stages by `units` units, each stage from its end, and twice; returns the notes of the last
+    /// one.
     fn by_units(&mut self, units: u64) -> Vec<String> {
         self.count(units);
         for unit in (0..self.units).rev() {
@@ -214,7 +215,7 @@ impl Work {
             let lists = self.of_faces().lists.concat();
             let bytes: u64 =
                 lists.iter().filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum();
-            // What is of P_S is not in it: triangles and links, of each unit.
+            // Triangles and links of each unit, whose size is that of P_S, are not counted in the bound.
             let at_most = faces_exchanged_at_most(&*self.model, &self.sampling).unwrap();
             assert!(bytes <= at_most + 100_000 * (self.units + 1), "{bytes} of {at_most}");
         }
@@ -234,7 +235,7 @@ impl Work {
         shared(&*self.model, &self.sampling, &division, self.folder.path(), &Silent).unwrap()
     }
 
-    /// Removes what units have left, and compares what they have made with what one reading makes.
+    /// Removes the files that units have left, and compares the samples with those of one reading.
     fn compare(&self, what: &str) {
         let of_faces = ["leaves", "leaves-of-group", "members", "faces"];
         for name in ["count", "range", "shared", "group"].into_iter().chain(of_faces) {
@@ -268,7 +269,7 @@ impl Work {
     }
 }
 
-/// What work has to say.
+/// Notes that work reports.
 #[derive(Default)]
 struct Notes(Mutex<Vec<String>>);
 
@@ -321,9 +322,9 @@ fn units_sample_as_one_reading_does() {
     Work::new(&body.shuffled(), area).check("by area");
 }
 
-/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it.
-/// Which trees are built how deep depends on the threads, and what others have made of the first ones has to
-/// go on to fit.
+/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it. The
+/// depth of the trees depends on the threads, and files that others have made by the first ones have to go on
+/// to fit.
 #[test]
 fn what_another_process_has_left_meanwhile_stays() {
     let mut work = Work::new(&amphora().shuffled(), samples(3000));
@@ -341,7 +342,7 @@ fn what_another_process_has_left_meanwhile_stays() {
     work.compare("overtaken");
 }
 
-/// Sums depend on which vertices are added up first: on pieces, and on what the stream does within them.
+/// Sums depend on the order in which vertices are added up: on pieces, and on the stream within them.
 #[test]
 fn units_add_groups_up_as_one_reading_does() {
     let body = amphora();
@@ -360,7 +361,8 @@ fn units_add_groups_up_as_one_reading_does() {
     Work::new(&turns, sampling).check("in turns");
 }
 
-/// So many vertices are open at a time that there are groups, whether anybody asks for them or not.
+/// The vertices that are open at a time are so many that there are groups, whether these are asked for or
+/// not.
 #[test]
 fn units_know_when_groups_are_needed() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
@@ -475,7 +477,7 @@ fn what_is_wrong_is_told() {
             told(work.cut(&Silent).unwrap_err(), &[name, "damaged"]);
             assert!(if name == "range-1" { work.range(1) } else { work.group(2) }.unwrap());
         }
-        // Which clusters are kept that the cut does not need is a matter of time.
+        // The trees may hold other clusters below the cut, as timing decides, but the samples are the same.
         assert!(samples_of_cut() == expected, "{name} is another one");
     }
     // Parts of one another's, of other samples, and none.
@@ -710,7 +712,7 @@ fn a_soup_is_divided_whether_its_sheets_are_told_apart_or_not() {
     Work::of_format(&body, "stl", samples(1000)).check("STL");
     let body = in_no_order(&body);
     Work::of_format(&body, "stl", samples(1000)).check("STL in no order");
-    // What is at one place is nowhere near in the file.
+    // Vertices at one place are nowhere near each other in the file.
     Work::new(&soup(&body).shuffled(), samples(1000)).check("in no order");
     // Of more vertices than are compared with each other.
     let mut work = Work::new(&soup(&Body::generated(Shape::Amphora, 200_000)), samples(1000));
@@ -756,7 +758,7 @@ fn what_is_wrong_with_files_of_faces_is_told() {
     fs::remove_dir_all(work.path("divided.simod")).unwrap();
     told(work.members(3).unwrap_err(), &["no part 3 of 3"]);
     told(work.faces(3).unwrap_err(), &["no part 3 of 3"]);
-    // Any file that is damaged is told of by who reads it.
+    // Damaged files are told of by each unit that reads them.
     let damaged = |name: &str, read: &dyn Fn() -> Option<simod_model::Error>| {
         let (file, good) = (work.path(name), fs::read(work.path(name)).unwrap());
         let mut bad = good.clone();
@@ -780,7 +782,7 @@ fn what_is_wrong_with_files_of_faces_is_told() {
         damaged(name, &again);
         (0..3).for_each(|unit| assert!(work.members(unit).is_ok()));
     }
-    // What belongs to other trees, though these are as good.
+    // Files that belong to other trees are written again, though these trees are as good.
     fs::remove_file(work.path("range-1")).unwrap();
     assert!(work.range(1).unwrap());
     fs::remove_file(work.path("cut")).unwrap();

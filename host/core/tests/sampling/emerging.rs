@@ -6,7 +6,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::progress::Emerging;
 use std::sync::Mutex;
 
-/// Keeps what emerges.
+/// Progress that keeps the vertices which emerge.
 #[derive(Default)]
 struct Watch(Mutex<Vec<(Vec3, Vec3)>>);
 

@@ -144,7 +144,8 @@ fn samples_do_not_depend_on_threads() {
         let with_threads = |n: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
             let sampled = pool.install(|| body.sampled(sampling));
-            // Where each cell's vertices are is noted by its shard.
+            // Ranges of the stream with each cell's vertices, which the cell's shard notes, are compared as
+            // well.
             let stream = (sampled.cells, sampled.source.jumps, sampled.held_cells().cloned());
             let samples = &sampled.samples;
             (samples.positions.clone(), samples.normals().to_vec(), sampled.triangles.clone(), stream)

@@ -14,7 +14,7 @@ fn height(p: DVec3) -> f64 {
     0.05 * (6.0 * p.x).sin() * (5.0 * p.y).cos()
 }
 
-/// How far a place is below the upper sheet: 0 there, and 1 on the lower one.
+/// Depth of a place below the upper sheet: 0 there, and 1 on the lower one.
 fn depth(p: DVec3) -> f64 {
     let slope = DVec3::new(
         -0.3 * (6.0 * p.x).cos() * (5.0 * p.y).cos(),

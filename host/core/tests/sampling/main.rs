@@ -68,7 +68,7 @@ fn every_vertex_has_a_sample_near_it_at_any_place_and_size() {
     }
 }
 
-/// Counts how often the second pass begins.
+/// Progress that counts the beginnings of the second pass.
 #[derive(Default)]
 struct Passes(AtomicU32);
 

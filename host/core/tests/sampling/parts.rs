@@ -37,7 +37,7 @@ fn without_triangles_the_samples_are_the_same() {
     let (whole_samples, part_samples) = (whole.load().samples, part.load().samples);
     assert_eq!(whole_samples.positions, part_samples.positions);
     assert_eq!(whole_samples.normals(), part_samples.normals());
-    // The cells differ in what they belong to, and in what is known of the faces.
+    // The cells differ in the key of their samples, and in the ranges of faces.
     let (mut whole, part) =
         (KeptCells::decode(&whole.bytes()).unwrap(), KeptCells::decode(&part.bytes()).unwrap());
     assert!(whole.1.knows_faces && whole.1.cells.iter().all(|cell| !cell.faces.is_empty()));
@@ -64,7 +64,7 @@ fn without_cells_all_else_is_the_same() {
     assert!(samples_file(&whole) == samples_file(&part));
     let description = |saved: &Saved| fs::read_to_string(saved.folder().join("simod.toml")).unwrap();
     assert_eq!(description(&whole), description(&part));
-    // They can be made later.
+    // The cells can be made later.
     assert!(part.cells() == whole.cells() && part.bytes() == whole.bytes());
     assert_eq!(part.names(), ALL);
 }
@@ -84,7 +84,7 @@ fn without_normals_only_estimated_ones_are_left_out() {
     let (whole, part) = (whole.load(), part.load());
     assert_eq!(whole.samples.positions, part.samples.positions);
     assert!(whole.triangles == part.triangles && !part.triangles.is_empty());
-    // Who needs them estimates them again.
+    // Normals that were left out are estimated again by whoever needs them.
     assert_eq!(whole.samples.normals(), part.samples.normals());
 }
 

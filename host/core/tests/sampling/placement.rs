@@ -1,4 +1,4 @@
-//! Where in their clusters samples are placed.
+//! Placement of samples in their clusters.
 
 use glam::{DVec3, Vec3};
 use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
@@ -43,7 +43,7 @@ fn samples(n: u64) -> Sampling {
     by(Placement::default(), Target::Samples(n))
 }
 
-/// How far the triangles are from the relief, rms.
+/// Distance of the triangles from the relief, rms.
 fn off(sampled: &SampledModel) -> f64 {
     let mut squares = Vec::new();
     for corners in &sampled.triangles {
@@ -153,7 +153,7 @@ fn groups_parts_and_refinements_place_alike() {
         let selection = SpaceSelection { distance: &everywhere, so_far: None, at_rest: true };
         let refined = refine(&sampled, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
         let refined = refined.sampled.unwrap();
-        // Who was there stays.
+        // Samples from before the refinement stay.
         assert_eq!(refined.samples.positions[..sampled.samples.len()], sampled.samples.positions);
         refined
     };
@@ -183,8 +183,8 @@ fn cells_of_former_folders_are_made_again() {
     }
 }
 
-/// Where normals are missing or those of a smoother surface, faces place the samples, and where they are the
-/// surface's own, vertices.
+/// Faces place the samples where normals are missing or those of a smoother surface, and vertices do where
+/// the normals are the surface's own.
 #[test]
 fn normals_are_trusted_unless_faces_tell_otherwise() {
     let placed = |body: &Body| body.sampled(samples(1000)).sampling.placement;
@@ -217,7 +217,7 @@ fn normals_are_trusted_unless_faces_tell_otherwise() {
         assert_eq!(placed(&body), Placement::Vertices, "{shape:?}");
         assert_eq!(placed(&body.without_normals()), Placement::Faces, "{shape:?}");
     }
-    // Faces that are no surface tell nothing; nor does what is flat.
+    // Faces that are no surface tell nothing; nor do flat ones.
     let count = body.positions.len() as u32;
     let faces = vec![[0, 0, 0], [u32::MAX - 1, count, count + 1], [1, 1, 2]];
     assert_eq!(placed(&Body { faces, ..body.clone() }), Placement::Vertices);

@@ -1,4 +1,4 @@
-//! What holds for the samples of any points at all.
+//! Promises that hold for the samples of any points at all.
 
 use std::collections::BTreeSet;
 
@@ -10,16 +10,16 @@ use simod_core::sampling::{By, Grouping, Sampling, Splitting, Target};
 
 use crate::body::{Body, worst_distance};
 
-/// How points lie.
+/// Arrangement of points.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Space,
     Clusters,
     Line,
     Plane,
-    /// Many of them at the same few places.
+    /// Points of which many are at the same few places.
     Coincident,
-    /// All but one in one cell of the coarse grid.
+    /// Points of which all but one are in one cell of the coarse grid.
     OneCell,
 }
 
@@ -85,7 +85,7 @@ fn distinct(sampled: &SampledModel, body: &Body) -> (usize, usize) {
     (places.clone().collect::<BTreeSet<_>>().len(), places.zip(normals).collect::<BTreeSet<_>>().len())
 }
 
-/// What a sample is, whatever the target: within the model, but for `outside`.
+/// Checks the promises that hold whatever the target: samples are within the model, but for `outside`.
 fn check_samples(sampled: &SampledModel, body: &Body, outside: f64) -> Result<(), TestCaseError> {
     let samples = &sampled.samples;
     let slack = DVec3::splat(outside + 1e-6 * sampled.bounds.diagonal());
@@ -102,8 +102,8 @@ fn check_samples(sampled: &SampledModel, body: &Body, outside: f64) -> Result<()
     Ok(())
 }
 
-/// Splits come in eights, and clusters alike are split together or not at all: so many samples may be
-/// missing.
+/// Number of samples that may be missing, as splits come in eights, and clusters alike are split together or
+/// not at all.
 const FEW: usize = 16;
 
 /// Cases of each kind.

@@ -60,7 +60,8 @@ fn finer_rings(gap: f64, finer: u32) -> (Body, Vec<f64>) {
     (body, part)
 }
 
-/// A stem whose end is bent over and lies on it, but for a gap, and how far each vertex goes with that arm.
+/// A stem whose end is bent over and lies on it, but for a gap; and for each vertex the part of the way that
+/// it goes with that arm.
 fn cactus(gap: f64) -> (Body, Vec<f64>) {
     let bend = RADIUS + 0.5 * gap;
     let (up, over, down) = (1.5, PI * bend, 1.2);
@@ -79,7 +80,7 @@ fn cactus(gap: f64) -> (Body, Vec<f64>) {
     (body, rings.iter().flat_map(|(_, w)| vec![way(*w); 80]).collect())
 }
 
-/// Each face with vertices of its own, as in an STL file.
+/// Model with vertices of its own for each face, as in an STL file.
 fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     let corners: Vec<usize> = body.faces.iter().flatten().map(|v| *v as usize).collect();
     let faces = (0..body.faces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
@@ -196,7 +197,7 @@ fn boxes(gap: f64) -> (Body, Vec<f64>) {
     (body, part)
 }
 
-/// Where a sample belongs: to the box on whose surface it lies.
+/// Box to which a sample belongs: 1 on the surface of the second, 0 on that of the first.
 fn of_boxes(gap: f64) -> impl Fn(DVec3) -> f64 {
     let off = |(low, high): (DVec3, DVec3), p: DVec3| {
         let inside = (low - p).max(p - high).max_element().min(0.0);
@@ -214,8 +215,8 @@ fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
     two_spheres([-1.0, 1.0].map(|side| (side * (1.0 + 0.5 * gap) * beside, 1.0)))
 }
 
-/// Where a sample belongs, of two parts that no triangle of samples joins: to that of the sample farthest
-/// along x, or to the other one.
+/// Part to which a sample belongs, of two parts that no triangle of samples joins: 1 for that of the sample
+/// farthest along x, 0 for the other one.
 fn of_triangles(sampled: &SampledModel) -> impl Fn(DVec3) -> f64 + use<> {
     let places: Vec<DVec3> = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
     let mut is_second = vec![false; places.len()];
@@ -238,8 +239,7 @@ fn of_triangles(sampled: &SampledModel) -> impl Fn(DVec3) -> f64 + use<> {
     }
 }
 
-/// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two
-/// tubes.
+/// Part with which a sample goes: 1 for the second of two tubes on whose surface it may lie, 0 for the first.
 fn of_rings(gap: f64) -> impl Fn(DVec3) -> f64 {
     move |p| {
         let off = |center: DVec3, axis: DVec3| {
@@ -266,13 +266,12 @@ fn of_cactus(gap: f64) -> impl Fn(DVec3) -> f64 {
 
 const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
 
-/// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of
-/// the way.
+/// Moves the samples of the second part away; returns the error of each vertex, as a fraction of the way.
 pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
     off_by(sampled, body, part, of, &|p, part| p + AWAY * part)
 }
 
-/// How far each vertex is off where a map takes places of parts.
+/// Error of each vertex, where a map takes places of parts.
 fn off_by(
     sampled: &SampledModel,
     body: &Body,
@@ -294,8 +293,8 @@ fn off_by(
     body.positions.iter().zip(&moved).zip(part).map(off).collect()
 }
 
-/// Where it has to be told apart: not where the arm leaves the stem, as there the way changes within a
-/// spacing.
+/// Whether parts have to be told apart at a place: not where the arm leaves the stem, as there the
+/// displacement changes within a spacing.
 fn is_plain(p: &DVec3, name: &str) -> bool {
     name != "an arm on its stem" || p.z < 1.3
 }
@@ -366,8 +365,9 @@ fn parts_that_no_cluster_holds_two_of_come_apart() {
     assert!(stay_without >= 6, "{stay_without} cases need to be told");
 }
 
-/// Of a wall between two boxes more clusters hold both sheets than get further samples: so some sheets have
-/// few of them, far beyond those of the other one, and a coarser cut may put clusters of both together.
+/// Clusters of a wall between two boxes that hold both sheets are more than get further samples: so some
+/// sheets have few of them, far beyond those of the other one, and a coarser cut may put clusters of both
+/// together.
 #[test]
 fn boxes_face_to_face_come_apart() {
     let gap = 5e-4;
@@ -487,7 +487,7 @@ fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer
     refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()
 }
 
-/// Of a thin wall all clusters hold both sides, and normals do not tell.
+/// Clusters of a thin wall all hold both sides, and normals do not tell.
 #[test]
 fn the_sides_of_a_thin_wall_come_apart() {
     for thickness in [0.004, 0.02] {
@@ -567,7 +567,7 @@ fn a_refinement_keeps_parts_apart() {
             // Around the bend of the arm the way changes within a spacing.
             assert!(now[0] <= off[0] + 1e-4 && now[1] <= off[1] + 5e-4, "{name}");
             assert!(joins <= before, "{name}: triangles join the parts");
-            // What is saved comes back, and goes on.
+            // A refined model that is saved and loaded goes on as before.
             let saved = folder.path().join("model.simod");
             next.save(&saved).unwrap();
             let mut loaded = SampledModel::load(&saved).unwrap();

@@ -15,7 +15,7 @@ fn samples(n: u64) -> Sampling {
     Sampling { target: Target::Samples(n), ..Sampling::default() }
 }
 
-/// What is wrong with no triangles at all, however they came about.
+/// Checks rules that no triangles break, however they came about.
 fn check_each(sampled: &SampledModel) {
     let count = sampled.samples.len() as u32;
     for corners in &sampled.triangles {
@@ -30,7 +30,7 @@ fn check_each(sampled: &SampledModel) {
     );
 }
 
-/// How nearly triangles are a closed surface.
+/// Measures of how nearly triangles are a closed surface.
 #[derive(Debug)]
 struct Quality {
     edges: usize,
@@ -106,7 +106,8 @@ fn groups_leave_the_surface_nearly_closed_too() {
     }
 }
 
-/// One vertex far away, as scans have them, and all others are in one cell: more than are clustered at once.
+/// One vertex is far away, as scans have them, and all others are in one cell: more than are clustered at
+/// once.
 #[test]
 fn a_cell_of_several_parts_has_one_surface() {
     let mut body = Body::generated(Shape::BumpySphere, 600_000);
@@ -129,7 +130,7 @@ fn an_open_surface_keeps_its_border() {
     assert!(quality.outside > 0.985, "{quality:?}");
 }
 
-/// Which vertex each sample is, where each vertex is a sample.
+/// Vertex of each sample, where each vertex is a sample.
 fn vertex_of(sampled: &SampledModel, body: &Body) -> Vec<u32> {
     let bits = |p: Vec3| (p + Vec3::ZERO).to_array().map(f32::to_bits);
     let vertices: BTreeMap<_, u32> =
@@ -172,7 +173,7 @@ fn the_order_of_the_vertices_changes_nothing_but_numbers() {
             [(Splitting::VolumeSurface, true), (Splitting::Octree, true), (Splitting::VolumeSurface, false)];
         for (splitting, sheets) in ways {
             let skip = Skip { sheets, ..Skip::default() };
-            // What each triangle is, whatever its corners are called.
+            // Corner positions of each triangle, whatever its corners are numbered.
             let places = |body: &Body| {
                 let sampled = body.sampled(Sampling { splitting, skip, ..samples(3000) });
                 check_each(&sampled);

@@ -1,4 +1,4 @@
-//! How many steps the cactus' grid has where, for a number of vertices.
+//! Numbers of steps of the cactus' grid, in all its parts, for a number of vertices.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -16,24 +16,25 @@ pub(super) const STEM: [[f64; 2]; 8] = [
     [1.78, 0.2],
     [1.923, 0.14],
 ];
-/// Where the holes begin, by index above: on the right (+x), and on the left.
+/// Index in [`STEM`] of the ring at which each hole begins: the hole on the right (+x), and the one on the
+/// left.
 pub(super) const HOLES: [usize; 2] = [2, 4];
 /// Length of an arm's curve up to the first ring that is out of the stem.
 pub(super) const ROOT: f64 = 0.2;
 
-/// How many steps of the grid there are.
+/// Numbers of steps of the grid.
 #[derive(Clone, Copy)]
 pub(super) struct Counts {
-    /// On each side of the stem, around.
+    /// Steps on each of the four sides around the stem.
     pub side: u64,
-    /// Between the rings of [`STEM`].
+    /// Steps between the rings of [`STEM`].
     pub stem: [u64; 7],
-    /// For each arm: out of the hole, along the tube, and to the cap.
+    /// Steps of each arm: out of the hole, along the tube, and to the cap.
     pub arms: [[u64; 3]; 2],
 }
 
 impl Counts {
-    /// How long the parts are that are divided, in the order of [`rows`](Self::rows).
+    /// Lengths of the parts that are divided, in the order of [`rows`](Self::rows).
     pub fn lengths(form: &CactusForm) -> Vec<f64> {
         let of_stem = STEM.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]));
         // Arms have more columns for their width than the stem: so rows are wider apart.
@@ -60,7 +61,7 @@ impl Counts {
         counts
     }
 
-    /// As many as fit into so many vertices.
+    /// Counts for the most vertices that are no more than `vertices`.
     pub fn of_vertices(lengths: &[f64], vertices: u64) -> Self {
         // The coarsest one has less than any model.
         let (mut narrow, mut wide) = (1.0, 1.0);
@@ -77,7 +78,7 @@ impl Counts {
             }
         }
         let mut counts = Self::of_spacing(lengths, wide);
-        // Rows are added where they are widest, while that goes.
+        // Rows are added where they are widest, as long as the number of vertices allows it.
         loop {
             let mut spacings: Vec<(usize, f64)> =
                 counts.rows().zip(lengths).map(|(rows, length)| length / *rows as f64).enumerate().collect();
@@ -106,7 +107,7 @@ impl Counts {
         2 * (self.side + self.stem[HOLES[arm]])
     }
 
-    /// The stem's rows between which an arm's hole is, and the column at which it begins.
+    /// Rows of the stem between which an arm's hole is, and the column at which the hole begins.
     pub fn hole(&self, arm: usize) -> Hole {
         let before = |ring: usize| self.stem[..ring].iter().sum();
         Hole { low: before(HOLES[arm]), high: before(HOLES[arm] + 1), left: [0, 2][arm] * self.side }

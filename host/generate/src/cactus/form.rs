@@ -29,7 +29,7 @@ struct Base {
     /// About the distance from the surface; below 0 inside.
     value: f64,
     gradient: DVec3,
-    /// Height of the relief above it, 0 to [`RIB`] + [`BUMP`].
+    /// Height of the relief above the smooth surface, 0 to [`RIB`] + [`BUMP`].
     relief: f64,
 }
 
@@ -88,7 +88,7 @@ impl CactusForm {
         }
     }
 
-    /// About the distance from the surface with its relief; below 0 inside.
+    /// Approximate distance from the surface with its relief; below 0 inside.
     pub fn value(&self, p: DVec3) -> f64 {
         let base = self.base(p);
         base.value - base.relief
@@ -101,7 +101,7 @@ impl CactusForm {
         DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z)).normalize_or(DVec3::Y)
     }
 
-    /// Moves a point that is near the smooth surface onto it, and up to the relief.
+    /// Moves a point that is near the smooth surface onto that surface, and up to the relief.
     pub fn vertex(&self, near: DVec3) -> SurfaceVertex {
         const STEPS: usize = 30;
         const ENOUGH: f64 = 1e-12;

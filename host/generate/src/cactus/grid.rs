@@ -13,8 +13,8 @@ use super::super::{BodyRows, SurfaceVertex};
 use super::counts::{Counts, HOLES, Hole, ROOT, STEM};
 use super::form::CactusForm;
 
-/// Radius of the ring at the edge of an arm's cap, and how far it is beyond the tube's end: parts of the
-/// tube's radius.
+/// Radius of the ring at the edge of an arm's cap, and distance of the ring beyond the tube's end: parts of
+/// the tube's radius.
 const CAP: [f64; 2] = [0.9, 0.44];
 
 /// Rows that belong together.
@@ -45,7 +45,7 @@ pub(super) struct Cactus {
 }
 
 impl Cactus {
-    /// With at most so many vertices, and hardly less.
+    /// Cactus of at most so many vertices, and hardly less.
     pub fn new(vertices: u64) -> Self {
         let form = CactusForm::new();
         let counts = Counts::of_vertices(&Counts::lengths(&form), vertices);
@@ -64,7 +64,7 @@ impl Cactus {
         cactus
     }
 
-    /// A row's section, and its number there.
+    /// Section of a row, and the row's number there.
     fn find(&self, row: usize) -> (&GridSection, u64) {
         let mut row = row as u64;
         let last = self.sections.len() - 1;
@@ -102,7 +102,7 @@ impl Cactus {
         let mut index = self.first(1) + 4 * side * row + column;
         for arm in 0..2 {
             let Hole { low, high, left } = self.counts.hole(arm);
-            // What is missing in the rows before, and in this one.
+            // The hole lacks vertices in the rows before this one, and in this one.
             index -= (side - 1) * row.min(high).saturating_sub(low + 1);
             if low < row && row < high && column >= left + side {
                 index -= side - 1;
@@ -253,7 +253,8 @@ impl Cap {
         }
     }
 
-    /// How far from the middle a place is, 1 at the border, and in which direction: squares become circles.
+    /// Polar coordinates of a place on the cap: its distance from the middle, 1 at the border, and its
+    /// direction. Squares become circles.
     fn polar(&self, column: u64, row: u64) -> (f64, f64) {
         let on = |i: u64, of: u64| 2.0 * i as f64 / of as f64 - 1.0;
         let place = DVec2::new(on(column, self.width), on(row, self.height));
@@ -351,7 +352,7 @@ impl BodyRows for Cactus {
 }
 
 impl Cactus {
-    /// The hole that takes a part of what is between a row of the stem and the next one.
+    /// The hole that takes a part of the strip between a row of the stem and the next one.
     fn hole_above(&self, row: u64) -> Option<Hole> {
         (0..2).map(|arm| self.counts.hole(arm)).find(|hole| hole.low <= row && row < hole.high)
     }

@@ -1,8 +1,8 @@
 //! The cactus: three tubes that are smoothly joined, with ribs and bumps, as one closed surface.
 //!
-//! What it looks like is an implicit surface ([`form`]); how its vertices lie and hang together is a grid of
-//! four sides about each tube, an arm's around a hole in the stem's ([`grid`]), of which each vertex is moved
-//! onto the surface.
+//! The shape is an implicit surface ([`form`]); the vertices and their connections are a grid of four sides
+//! about each tube, an arm's around a hole in the stem's ([`grid`]), of which each vertex is moved onto the
+//! surface.
 
 mod counts;
 mod form;

@@ -9,7 +9,7 @@ pub(super) enum Leg {
         direction: DVec2,
         length: f64,
     },
-    /// From the angle `start` on, over the angle `sweep`; counter-clockwise where that is positive.
+    /// Arc from the angle `start` on, over the angle `sweep`; counter-clockwise where that is positive.
     Arc {
         center: DVec2,
         radius: f64,
@@ -21,7 +21,7 @@ pub(super) enum Leg {
 pub(super) struct Tube {
     pub legs: Vec<Leg>,
     pub radius: f64,
-    /// How many ribs it has around.
+    /// Number of ribs around the tube.
     pub ribs: f64,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Tube {
 pub(super) struct TubePoint {
     /// Length of the curve up to there.
     pub way: f64,
-    /// From there to the point.
+    /// Vector from the curve's nearest point to the point.
     pub offset: DVec3,
     /// The curve's direction there.
     pub tangent: DVec2,
@@ -57,7 +57,7 @@ impl Leg {
         }
     }
 
-    /// The length at which it is nearest to a point.
+    /// Length along the leg at which the leg is nearest to a point.
     fn nearest(&self, p: DVec2) -> f64 {
         match *self {
             Self::Line { from, direction, length } => (p - from).dot(direction).clamp(0.0, length),

@@ -1,7 +1,7 @@
 //! Models written in other formats than their own: streamed, edited on the way like those that keep theirs.
 //!
-//! A [`Converted`] model is the model, but for what is written of it. What the new format cannot hold is
-//! known before anything is written, and listed; whoever loses it has said so.
+//! A [`Converted`] model reads as the model that it is made of, and is written in another format. Losses are
+//! known before anything is written, and listed; a caller that accepts losses has said so.
 //!
 //! | module | |
 //! |---|---|
@@ -55,7 +55,7 @@ pub struct Converted {
     how: Conversion,
     faces: FaceCounts,
     folder: std::path::PathBuf,
-    /// The records of points stay what they are, as from LAS to LAZ.
+    /// Whether the records of points stay as they are, as from LAS to LAZ.
     keeps_records: bool,
     losses: Vec<String>,
     rounding: Option<Rounding>,
@@ -98,7 +98,7 @@ fn check_one_file(model: &dyn Model) -> Result<()> {
 }
 
 impl Converted {
-    /// The model as what the extension of `target` says. Its faces are read once, to be counted.
+    /// The model in the format that the extension of `target` names. Its faces are read once, to be counted.
     ///
     /// # Errors
     /// Nothing of that name can be written; the new format has no room for so much; something would be lost,
@@ -141,7 +141,7 @@ impl Converted {
         Ok(converted)
     }
 
-    /// Chooses how the file is written, which tells what it loses.
+    /// Chooses the form in which the file is written, which tells the losses.
     fn choose_form(&mut self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<()> {
         let mut losses = self.losses_of_model(counted, progress)?;
         let form = self.form(self.how.drops_normals, &mut losses)?;
@@ -164,7 +164,7 @@ impl Converted {
         Ok(())
     }
 
-    /// What is lost of the model whatever form it takes, in a few words each.
+    /// Losses of the model that any form of the new format has, in a few words each.
     fn losses_of_model(&self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<Vec<String>> {
         let mut losses = Vec::new();
         if !self.keeps_records {
@@ -184,7 +184,7 @@ impl Converted {
         Ok(losses)
     }
 
-    /// The error that a conversion loses something, where it was not said that it may.
+    /// Error of a conversion that loses something without being allowed to.
     fn would_lose(&self, target: &Path, losses: &[String]) -> Error {
         let own = self.own_extension();
         let all = format!("in its own format, .{own}, a deformed model keeps all of it");
@@ -197,18 +197,19 @@ impl Converted {
         Error::argument(format!("{} would lose: {}", target.display(), losses.join("; ")), hint)
     }
 
-    /// The extension that the model has in its own format: that of its name, if it is one.
+    /// Extension that the model has in its own format: that of its file's name, if that is one of the
+    /// format's.
     fn own_extension(&self) -> &'static str {
         let (own, named) = (self.model.extensions(), extension(self.model.path()));
         own.iter().find(|own| **own == named).or(own.first()).unwrap_or(&"ply")
     }
 
-    /// What the new file lacks, each in a few words.
+    /// Losses: what the new file lacks of the model, in a few words each.
     pub fn losses(&self) -> &[String] {
         &self.losses
     }
 
-    /// What positions are rounded to, if they lose digits by it: as among the losses.
+    /// Rounding of the positions, if they lose digits by it: as among the losses.
     pub fn rounding(&self) -> Option<Rounding> {
         self.rounding
     }
@@ -317,8 +318,8 @@ fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(FaceCounts
     Ok((faces, counted))
 }
 
-/// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so
-/// many.
+/// Losses of faces in a format that holds polygons, or triangles alone, of a file that tells a number `told`
+/// of faces.
 fn losses_of_faces(holds_polygons: bool, told: u64, counted: &PolygonCounts) -> Vec<String> {
     let PolygonCounts { triangles, without_vertex, faces, long, .. } = *counted;
     let mut losses = Vec::new();

@@ -32,7 +32,8 @@ pub(super) struct RecordForm {
     has_normals: bool,
     /// Name and type of each attribute that is written, and its place among the model's.
     attributes: Vec<(String, Type, usize)>,
-    /// Where blue, green and red are among the model's attributes, which are the bytes of one number in PCD.
+    /// Places of blue, green and red among the model's attributes, where PCD packs them as bytes of one
+    /// number.
     packed: Option<[usize; 3]>,
     comments: Vec<String>,
     stride: usize,
@@ -88,7 +89,7 @@ impl RecordForm {
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
         let is_other = |place: &usize| !packed.is_some_and(|packed| packed.contains(place));
         let others = (0..info.attributes.len()).filter(is_other);
-        // Of which PLY keeps names with blanks.
+        // PLY keeps attributes' names with blanks in its remarks.
         let remarks = if kind == RecordFormat::Ply { content.model.remarks() } else { Vec::new() };
         let others = others.map(|place| (place, &info.attributes[place]));
         let attributes = written(kind, others, &remarks, losses);
@@ -98,7 +99,7 @@ impl RecordForm {
         } else if let Some(crs) = &info.crs {
             losses.push(format!("the coordinate reference system {crs}"));
         }
-        // Where integers stand for positions, these are as many digits.
+        // Positions that the model stores as scaled integers have more digits than single precision holds.
         let scalar = if info.integers.is_some() { Scalar::F64 } else { info.position_type };
         let numbers: usize = attributes.iter().map(|(_, kind, _)| kind.size()).sum();
         let colors = if packed.is_some() { 4 } else { 0 };

@@ -125,8 +125,8 @@ impl Form for StlForm {
         if content.info().position_type == Scalar::F32 {
             return Ok(None);
         }
-        // What one single of the largest coordinates is from the next; coordinates beyond all singles are an
-        // error where they are written.
+        // Distance of the largest coordinate in single precision to the next number; coordinates beyond
+        // single precision are an error where they are written.
         let step = |bounds: &Bounds| {
             let largest = bounds.min.abs().max(bounds.max.abs()).max_element() as f32;
             let largest = largest.min(f32::MAX.next_down());

@@ -12,10 +12,10 @@ use crate::{Attribute, ColorScale, Colors, Error, Model, Result, Scalar, Summary
 /// The digits of positions as text: as many as give the numbers back.
 #[derive(Debug, Clone, Copy)]
 enum PositionDigits {
-    /// As few digits as tell the number from all others of single precision, or of double.
+    /// As few digits as tell the number from all others of single precision, or (`Double`) of double.
     Single,
     Double,
-    /// So many decimals; three more where a number lies between these.
+    /// A fixed number of decimals; three more where a number lies between these.
     Decimals(usize),
 }
 
@@ -26,7 +26,7 @@ impl PositionDigits {
             (Some(integers), _) => {
                 let decimals = (0..=12).find(|n| {
                     let power = 10f64.powi(*n);
-                    // As far as doubles tell: a step may be as small as anything.
+                    // The test is up to the precision of doubles: a step may be as small as anything.
                     let on_grid = |x: f64| is_whole(x * power, 0.0);
                     (0..3).all(|axis| on_grid(integers.scale[axis]) && on_grid(integers.offset[axis]))
                 });
@@ -60,12 +60,12 @@ impl PositionDigits {
     }
 }
 
-/// Whether a number is whole but for a little, or for what doubles round.
+/// Whether a number is whole but for `little`, or but for the rounding of double precision.
 fn is_whole(number: f64, little: f64) -> bool {
     (number - number.round()).abs() <= little.max(4.0 * f64::EPSILON * number.abs())
 }
 
-/// With an exponent where zeros would be many.
+/// Writes a number, with an exponent where zeros would be many.
 fn number_to(to: &mut Vec<u8>, number: f64, is_single: bool) -> std::io::Result<()> {
     let size = number.abs();
     let is_plain = number == 0.0 || (1e-5..1e16).contains(&size) || !number.is_finite();
@@ -81,7 +81,8 @@ fn whole_or_not(kind: Type, number: f64, to: &mut Vec<u8>) {
     let _ = number_to(to, number, kind == Type::F32);
 }
 
-/// What of a model's colours OFF would lose, where they are bytes: a reading of them, unless they are such.
+/// Loss of the colours' digits in OFF, where colours are bytes, if there is one. Reads the model, unless its
+/// colours are bytes.
 pub(super) fn losses_of_bytes(model: &dyn Model) -> Result<Option<String>> {
     let Some(colors) = Colors::from_info(model.info()).filter(|colors| colors.kind != Type::U8) else {
         return Ok(None);
@@ -90,7 +91,7 @@ pub(super) fn losses_of_bytes(model: &dyn Model) -> Result<Option<String>> {
     Ok((!are_kept).then(|| format!("digits of the colours ({}), which become bytes", colors.kind.name())))
 }
 
-/// What of a text is written.
+/// Format of a text that is written, with the columns that it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TextFormat {
     Obj,
@@ -106,7 +107,7 @@ pub(super) enum TextFormat {
 }
 
 impl TextFormat {
-    /// Whether an attribute of this name can be written.
+    /// Whether an attribute of this name can be a column of the format.
     fn holds_attribute(self, name: &str) -> bool {
         let Self::Named(separator) = self else { return false };
         let needs_care =
@@ -126,7 +127,8 @@ pub(super) struct TextForm {
     attributes: Vec<(String, Type, usize)>,
     /// The colours of OBJ, OFF, and `.xyzrgb`.
     colors: Option<ColorStyle>,
-    /// Nothing counts the vertices, so that they may be left out, and shall be.
+    /// Whether vertices without a position are left out: nothing in the file counts the vertices, and leaving
+    /// out is allowed.
     leaves_out: bool,
     left_out: AtomicU64,
 }
@@ -135,7 +137,7 @@ pub(super) struct TextForm {
 struct ColorStyle {
     colors: Colors,
     scale: ColorScale,
-    /// Where that is among the attributes, if the model has one of the same type.
+    /// Place of the alpha among the attributes, if the model has one of the colours' type.
     alpha: Option<usize>,
 }
 
@@ -161,7 +163,7 @@ impl ColorStyle {
             let _ = match (kind, self.colors.kind) {
                 (TextFormat::Off, _) => write!(to, "{}", self.scale.byte(number)),
                 (_, Type::F64) => number_to(to, number / self.scale.full(), false),
-                // As many digits as give bytes, words, and singles back.
+                // Numbers have as many digits as give bytes, words, and singles back.
                 _ => number_to(to, number / self.scale.full(), true),
             };
         }

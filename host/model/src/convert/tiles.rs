@@ -23,13 +23,13 @@ pub struct ConvertedTiles {
     pub triangles: u64,
     /// Size of all files.
     pub bytes: u64,
-    /// What the new files lack, each in a few words, and once.
+    /// Losses of the new files, in a few words each, every one once.
     pub losses: Vec<String>,
-    /// What positions are rounded to, if they lose digits by it, where it is most of the diagonal.
+    /// Rounding of the tile where it is most of the diagonal, if positions lose digits by it in any tile.
     pub rounding: Option<Rounding>,
 }
 
-/// What the tiles are called in their folder in another format.
+/// Names of the tiles in their folder, in another format.
 ///
 /// # Errors
 /// A name cannot be written; two tiles would have one name.
@@ -51,9 +51,9 @@ pub fn converted_names(tiles: &ModelName, extension: &str) -> Result<Vec<PathBuf
     }
 }
 
-/// Writes each tile, opened as text of `columns` if any are given, as what an extension says to a file in the
-/// folder `output`, which appears whole or not at all. A former one is replaced if it holds nothing but files
-/// of these names.
+/// Writes each tile, opened as text of `columns` if any are given, in the format of an extension to a file in
+/// the folder `output`, which appears whole or not at all. A former folder is replaced if it holds nothing
+/// but files of these names.
 ///
 /// Memory: as of one [`Converted`], and the names.
 ///

@@ -1,7 +1,8 @@
 //! The stream from one format to another, as the pipeline of rewriting takes it.
 //!
-//! Where vertices can be read from anywhere, each thread reads those of its own piece, and the edit is told
-//! of the pieces in turn; where not, one thread at a time reads on.
+//! A model whose vertices can be read from anywhere is read by all threads, each its own piece, and the edit
+//! is told of the pieces in turn; any other is read by one thread at a time, from its first vertex to its
+//! last.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -29,13 +30,13 @@ pub(super) struct ConversionCall<'a> {
     how: Rewriting,
     edit: &'a dyn Edit,
     progress: &'a dyn Progress,
-    /// Whether vertices are read by one reader.
+    /// Whether one reader reads all vertices in their order.
     in_order: bool,
     turns: Mutex<VertexTurns>,
     turned: Condvar,
 }
 
-/// How far the vertices have come in their order.
+/// Progress of the vertices in their order, for which pieces wait.
 struct VertexTurns {
     /// The first vertex that the edit was not told of.
     next: u64,
@@ -69,7 +70,7 @@ impl<'a> ConversionCall<'a> {
         EditInTurn(self)
     }
 
-    /// The progress, which advances by what is read.
+    /// Progress that advances by the bytes that were read.
     pub(super) fn quietly(&self) -> Quietly<'a> {
         Quietly(self.progress)
     }
@@ -83,8 +84,8 @@ impl<'a> ConversionCall<'a> {
         self.turned.notify_all();
     }
 
-    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be,
-    /// as a piece before it has failed, whose error is the one that is told.
+    /// Waits, for the piece that begins with a vertex, until a condition holds; an error if it never will, as
+    /// a piece before it has failed, whose error is the one that is reported.
     fn wait(&self, piece: u64, until: impl Fn(&VertexTurns) -> bool) -> Result<()> {
         let mut turns = self.turns();
         while !until(&turns) {
@@ -96,8 +97,7 @@ impl<'a> ConversionCall<'a> {
         Ok(())
     }
 
-    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns
-    /// if it fails.
+    /// Does work for the piece that begins with a vertex; pieces that wait for its result learn if it fails.
     fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
         struct TurnGuard<'w, 'a> {
             of: &'w ConversionCall<'a>,
@@ -191,7 +191,7 @@ impl Rewritable for ConversionCall<'_> {
         self.guarded(chunk.first, || {
             let PieceVersion { edited, normals, bytes, summary, .. } = version;
             let attributes = self.attributes(chunk, edited)?;
-            // What has no position stays without.
+            // A vertex without a position stays without one.
             let mut positions = Vec::new();
             if chunk.positions.iter().any(|p| !p.is_finite()) {
                 let kept = |(old, new): (&_, &_)| if glam::DVec3::is_finite(*old) { *new } else { *old };
@@ -300,7 +300,7 @@ impl ConversionPieces<'_> {
         }
     }
 
-    /// The next vertices; where they are read by whoever takes the piece, their number alone.
+    /// Reads the next vertices; where the thread that takes the piece reads them, returns only their number.
     fn read_vertices(&mut self, chunk: &mut VertexChunk) -> Result<Option<usize>> {
         let work = self.work;
         let left = work.model.info().vertices - self.vertex;
@@ -321,7 +321,7 @@ impl ConversionPieces<'_> {
         chunk.raw.clear();
         self.vertex += count;
         if self.number < work.how.pieces_done {
-            // The edit wants to see its bytes, and nobody else reads it.
+            // The edit wants to see the bytes of the piece, and no other code reads them.
             work.read_piece(chunk)?;
             work.progress.advance(chunk.raw.len() as u64);
             work.change(|turns| turns.next = chunk.first + count);

@@ -1,4 +1,5 @@
-//! What the XML of an E57 file says of its scans, and where in the text it says how far they reach.
+//! Description of the scans of an E57 file: its XML, and the places in the text of the limits of the scans'
+//! coordinates.
 
 use std::ops::Range;
 use std::str::FromStr;
@@ -12,28 +13,29 @@ use super::pose::ScanPose;
 use crate::source::SourceFile;
 use crate::{Result, wkt};
 
-/// Most elements, attributes and texts of the XML: what its tree takes while it is looked at.
+/// Most elements, attributes and texts of the XML, which bounds the memory of its tree.
 const MOST_NODES: u32 = 8 << 20;
 
 /// A scan as it is described.
 #[derive(Debug)]
 pub(super) struct Described {
-    /// "scan 2", with its name if it has one.
+    /// Name of the scan: "scan 2", with its own name if it has one.
     pub name: String,
     pub count: u64,
-    /// The place of its points in the file.
+    /// Place of the scan's points in the file.
     pub place: u64,
-    /// Each has a stream of its own, in this order.
+    /// Fields of the points, each with a stream of its own, in this order.
     pub fields: Vec<E57Field>,
     pub pose: ScanPose,
     pub slots: Vec<LimitSlot>,
-    /// For each field, where in the text its least and its largest number are, as far as it says them.
+    /// Places of the least and the largest number of each field in the text, if the text has them.
     pub limits: Vec<[Option<Range<usize>>; 2]>,
-    /// How large intensities may be, as far as the scan says so.
+    /// Least and largest intensity that the scan declares, if it does.
     pub intensities: Option<[f64; 2]>,
-    /// Groups of its points, as lines of a scanner, have boxes of their own, which are in their records.
+    /// Groups of the scan's points, as lines of a scanner, have boxes of their own, which are in the groups'
+    /// records.
     pub has_boxes_of_groups: bool,
-    /// What else is told of the scan, by the names of elements.
+    /// Names of the elements that describe the scan besides.
     pub besides: Vec<String>,
 }
 
@@ -42,7 +44,7 @@ pub(super) struct Described {
 pub(super) struct E57Description {
     pub scans: Vec<Described>,
     pub images: usize,
-    /// What the file says of its coordinate reference system, in one line: WKT, or its name.
+    /// Coordinate reference system of the file in one line, WKT or its name, if the file has one.
     pub crs: Option<String>,
 }
 
@@ -63,9 +65,9 @@ pub(super) struct LimitSlot {
     pub is_limit: bool,
     /// The number as it is.
     pub value: f64,
-    /// How the number is written.
+    /// Type in which the number is written.
     pub kind: NumberEncoding,
-    /// The bytes to be replaced, and what has to stand around the new number.
+    /// Range of the bytes to be replaced, and the text that has to stand around the new number.
     pub text: Range<usize>,
     pub around: (String, String),
 }
@@ -102,8 +104,8 @@ fn ns<'a>(node: Node<'a, '_>) -> Option<&'a str> {
     node.tag_name().namespace()
 }
 
-/// What is told of a scan besides points, pose, and what follows from the points or says who made the file
-/// and when: the names of elements that are not empty.
+/// Names of a scan's elements that are not empty, but for its points, pose, and those that follow from the
+/// points or say who made the file and when.
 fn besides(scan: Node<'_, '_>) -> Vec<String> {
     const FOLLOWS: [&str; 9] = [
         "guid",
@@ -156,8 +158,8 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         Err(self.wrong(other, what).hinting("export the model without, as usual programs write E57"))
     }
 
-    /// Adds where a scan's bounds stand in the text, Cartesian and spherical ones. What is no number tells
-    /// nothing, and stays.
+    /// Adds the places of a scan's bounds in the text, Cartesian and spherical ones. A bound that is no
+    /// number is left as it is.
     fn add_bounds(&self, scan: Node<'a, 'i>, slots: &mut Vec<LimitSlot>) {
         for (element, names, is_spherical) in
             [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]
@@ -170,8 +172,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         }
     }
 
-    /// The least and the largest intensity that a scan says it can have; nothing where they are no numbers,
-    /// or no range.
+    /// Least and largest intensity that a scan says it can have; none where they are no numbers, or no range.
     fn intensity_limits(&self, scan: Node<'a, 'i>) -> Option<[f64; 2]> {
         let limits = child(scan, "intensityLimits")?;
         let end = |name| child(limits, name).and_then(|node| self.number(node).ok());
@@ -286,7 +287,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         }
     }
 
-    /// Where a scan stands: where it says nothing, in the frame that all share.
+    /// Pose of a scan. A scan without one is in the frame that all share.
     fn pose(&self, node: Node<'a, 'i>, scan: &str) -> Result<ScanPose> {
         let Some(pose) = child(node, "pose") else { return Ok(ScanPose::default()) };
         let numbers = |of: &str, names: [&str; 4], otherwise: [f64; 4]| {
@@ -355,7 +356,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
     }
 }
 
-/// The codec that leaves numbers as they are, and is meant where there is none.
+/// Codec that leaves numbers as they are, and is meant where the text names none.
 const BITPACK: &str = "bitPackCodec";
 
 pub(super) const CARTESIAN: [&str; 3] = ["cartesianX", "cartesianY", "cartesianZ"];

@@ -1,8 +1,9 @@
-//! What of an E57 file is known when all points are: how far they reach, in the XML, and where this is.
+//! End of an E57 file, which is known when all points are: its XML, with the new limits of the coordinates,
+//! and the place of the XML.
 //!
-//! Where the XML is the last thing in the file, as it usually is, it is replaced there; else, if it changes,
-//! a new one is put behind all. The page on which it begins may have points as well, and that of the header
-//! too: both are patched, and their checksums follow.
+//! XML that is the last thing in the file, as it usually is, is replaced where it was; other XML that changes
+//! is put behind all. The page on which the XML begins may have points as well, and that of the header too:
+//! both are patched, and their checksums follow.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -20,7 +21,7 @@ use crate::{Result, Summary};
 type Replaced = Vec<(usize, Vec<u8>, Vec<u8>)>;
 
 impl E57Model {
-    /// Whether nothing comes behind the XML.
+    /// Whether nothing follows the XML in the file.
     fn xml_is_last(&self) -> bool {
         let end = self.source.len() / PAGE;
         pages_of(&self.header.xml).end == end
@@ -43,7 +44,8 @@ impl E57Model {
             self.source.append_at(&mut same, ending.start, (ending.end - ending.start) as usize)?;
             return Ok(same);
         };
-        // Of a longer one, what follows is the end of a page; of one as long, it stays.
+        // XML of another length is filled up to the end of its page; XML of the same length keeps the bytes
+        // behind it.
         let mut payload = xml.into_bytes();
         if self.xml_is_last() {
             let on_first_page = (PAYLOAD - self.header.xml.start % PAYLOAD) as usize;
@@ -61,7 +63,7 @@ impl E57Model {
         Ok(bytes)
     }
 
-    /// What is to be replaced in the header, and in the page on which the XML begins.
+    /// Replacements in the header, and in the page on which the XML begins.
     pub(super) fn patches_in_the_end(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         let Some(xml) = self.new_xml(all) else { return Ok(Vec::new()) };
         let old = self.header.xml.clone();
@@ -143,7 +145,7 @@ impl E57Model {
     }
 }
 
-/// The number that takes the place of one in the text, if the points that it is about reach elsewhere now.
+/// New text of a number that the XML has, if the points that the number is a limit of reach elsewhere now.
 fn new_number(scan: &Scan, slot: &LimitSlot, before: &ScanReach, after: &ScanReach) -> Option<String> {
     let corner = slot.corner;
     let (was, is) = (corner_of(before, corner), corner_of(after, corner));
@@ -188,7 +190,7 @@ fn written(kind: NumberEncoding, number: f64, is_max: bool) -> String {
     }
 }
 
-/// A number in so many characters, if it has fewer: with zeros behind its decimals.
+/// Number in so many characters, if it has fewer: with zeros behind its decimals.
 fn padded(number: String, length: usize) -> String {
     let missing = length.saturating_sub(number.len());
     let Some(point) = number.find('.') else { return number };

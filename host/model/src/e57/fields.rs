@@ -2,16 +2,17 @@
 
 use crate::Type;
 
-/// How the numbers of a field are stored.
+/// Type of a field's numbers in the file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum NumberEncoding {
     /// 32 bits.
     Single,
     /// 64 bits.
     Double,
-    /// As many bits as the largest number needs, less the least one: number · scale + offset.
+    /// Integers, in as many bits as the largest less the least one needs: a number is integer · scale +
+    /// offset.
     Integer { min: i64, max: i64, scale: f64, offset: f64 },
-    /// What is no number: it is kept.
+    /// A field that holds no numbers, and is kept as it is.
     Other,
 }
 
@@ -40,7 +41,7 @@ impl NumberEncoding {
             NumberEncoding::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
             NumberEncoding::Integer { min, max, scale, offset } => {
                 let number = ((value - offset) / scale).round();
-                // Both ends as doubles are exact or beyond what a number can be rounded to.
+                // Both ends as doubles are exact, or beyond every number that rounding gives.
                 if !(number >= min as f64 && number <= max as f64) {
                     return None;
                 }
@@ -67,7 +68,7 @@ impl NumberEncoding {
 /// A field of the points of a scan, which has a stream of bits of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct E57Field {
-    /// The name of its element, with a prefix if it is an extension's: `cartesianX`, `nor:normalX`.
+    /// Name of the field's element, with a prefix if it is an extension's: `cartesianX`, `nor:normalX`.
     pub name: String,
     pub kind: NumberEncoding,
 }
@@ -100,7 +101,7 @@ impl E57Field {
         self.kind.range()
     }
 
-    /// From one number to the next; zero of floats.
+    /// Step from one number of the field to the next; zero of floats.
     pub fn step(&self) -> f64 {
         match self.kind {
             NumberEncoding::Integer { min, max, scale, .. } if max > min => scale.abs(),
@@ -108,13 +109,13 @@ impl E57Field {
         }
     }
 
-    /// Whether some of its numbers are integers that doubles do not tell apart.
+    /// Whether some of the field's numbers are integers that double precision does not tell apart.
     pub fn is_beyond_doubles(&self) -> bool {
         const MOST: i64 = 1 << 53;
         matches!(self.kind, NumberEncoding::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
     }
 
-    /// What holds all numbers of the field.
+    /// Type that holds all numbers of the field: for unscaled integers the narrowest one.
     pub fn number_type(&self) -> Type {
         match self.kind {
             NumberEncoding::Single => Type::F32,
@@ -141,9 +142,9 @@ impl E57Field {
 pub(super) struct PackedNumbers {
     /// Bytes of the field's stream, and some more at the end, so that reading needs no care.
     bytes: Vec<u8>,
-    /// The byte of the stream that the first of them is.
+    /// First byte of the stream that is held.
     pub first: u64,
-    /// Where in the first byte the first number begins.
+    /// Bit of the first byte at which the first number begins.
     shift: u32,
     width: u32,
 }
@@ -163,7 +164,7 @@ impl PackedNumbers {
         self.bytes.resize((range.end - range.start) as usize + SPARE, 0);
     }
 
-    /// The bytes of a stream that some of its numbers lie in.
+    /// Range of the bytes of a stream in which some of its numbers lie.
     pub fn range(width: u32, first: u64, count: u64) -> std::ops::Range<u64> {
         let bit = |number: u64| u128::from(number) * u128::from(width);
         let (start, end) = (bit(first) / 8, bit(first.saturating_add(count)).div_ceil(8));

@@ -13,7 +13,7 @@ use crate::source::SourceFile;
 use crate::{Attribute, Error, ModelInfo, Progress, Result, Scalar, Type, wkt};
 use glam::DVec3;
 
-/// Most points of which no field takes any bits: how many there are is held against nothing.
+/// Most points of which no field takes any bits: nothing in the file confirms their number.
 const MOST_OF_NOTHING: u64 = 1 << 12;
 
 /// An E57 file.
@@ -21,23 +21,23 @@ const MOST_OF_NOTHING: u64 = 1 << 12;
 pub struct E57Model {
     pub(super) source: SourceFile,
     pub(super) header: E57Header,
-    /// The text of its XML: at most 64 MiB.
+    /// Text of the file's XML: at most 64 MiB.
     pub(super) xml: String,
-    /// In the order of their points in the file, which is that of the vertices.
+    /// The scans, in the order of their points in the file, which is that of the vertices.
     pub(super) scans: Vec<Scan>,
     pub(super) images: usize,
     /// The coordinate reference system as text, where that is more than its name.
     pub(super) wkt: Option<String>,
-    /// For each scan, those attributes that it has, and which of its fields they are; ascending.
+    /// Attributes that each scan has, as the index of the attribute and that of the scan's field; ascending.
     pub(super) attributes: Vec<Vec<(usize, usize)>>,
-    /// What of the attributes turns with the surface.
+    /// Attributes that turn with the surface.
     pub(super) following: Following,
     pub(super) info: ModelInfo,
 }
 
 impl E57Model {
-    /// What the file `source` is: its XML is read, and the heads of all packets. One that is cut off is
-    /// noticed here.
+    /// Opens the file `source`: reads its XML and the heads of all packets, by which a file that is cut off
+    /// is noticed.
     ///
     /// # Errors
     /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.
@@ -86,7 +86,7 @@ impl E57Model {
         Ok(this)
     }
 
-    /// Has each scan know which of its fields turn.
+    /// Tells each scan which of its fields turn.
     pub(super) fn note_what_follows(&mut self) {
         for (scan, attributes) in self.scans.iter_mut().zip(&self.attributes) {
             let field =
@@ -140,7 +140,7 @@ impl E57Model {
         Ok((!chosen.is_empty()).then_some(changed))
     }
 
-    /// What formats of points alone have no place for.
+    /// Contents of the file that formats of points alone have no place for.
     pub(super) fn describe_besides(&self) -> Vec<String> {
         let number = |count: usize, one: &str| match count {
             1 => format!("1 {one}"),
@@ -182,7 +182,7 @@ impl E57Model {
         besides
     }
 
-    /// Says that groups of points have boxes of their own, if they do, which stay.
+    /// Notes for the user that boxes of groups of points stay as they are, if there are any.
     pub(super) fn tell_of_groups(&self, progress: &dyn Progress) {
         if let Some(scan) = self.scans.iter().find(|scan| scan.described.has_boxes_of_groups) {
             progress.note(&format!(
@@ -193,12 +193,12 @@ impl E57Model {
         }
     }
 
-    /// What there is to say of each scan.
+    /// Descriptions of the scans, one line each.
     pub(super) fn describe_scans(&self) -> Vec<String> {
         self.scans.iter().map(describe).collect()
     }
 
-    /// How large intensities may be in any scan, if all that have points say so.
+    /// Least and largest intensity of all scans with points, if all of these declare theirs.
     pub(super) fn intensities(&self) -> Option<[f64; 2]> {
         let with_points = self.scans.iter().map(|scan| &scan.described).filter(|scan| scan.count > 0);
         let limits: Option<Vec<[f64; 2]>> = with_points.map(|scan| scan.intensities).collect();
@@ -255,7 +255,7 @@ fn check_sections(source: &SourceFile, header: &E57Header, scans: &[Scan]) -> Re
     Ok(())
 }
 
-/// The attributes of all scans, and which field of each scan each of them is.
+/// Attributes of all scans, and the indices of attribute and field for each scan.
 fn attributes(scans: &[Scan], has_normals: bool) -> (Vec<Attribute>, Vec<Vec<(usize, usize)>>) {
     let mut attributes: Vec<Attribute> = Vec::new();
     let mut known = BTreeMap::new();
@@ -287,7 +287,7 @@ fn attributes(scans: &[Scan], has_normals: bool) -> (Vec<Attribute>, Vec<Vec<(us
     (attributes, places)
 }
 
-/// What is known of a model, and which field of each scan each attribute is.
+/// Returns the info of a model, and for each scan which of its fields each attribute is.
 fn info(
     source: &SourceFile,
     header: &E57Header,

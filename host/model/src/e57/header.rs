@@ -1,4 +1,4 @@
-//! The header of an E57 file: 48 bytes, which say where its XML is.
+//! Header of an E57 file: 48 bytes, with the place of the file's XML.
 
 use std::ops::Range;
 
@@ -12,14 +12,14 @@ pub(super) const MAGIC: &[u8] = b"ASTM-E57";
 /// Bytes of the header.
 pub(super) const LENGTH: u64 = 48;
 
-/// The places in the header of what is changed in it.
+/// Places of the header's numbers that are changed.
 pub(super) mod at {
     pub const FILE_LENGTH: u64 = 16;
     pub const XML_PLACE: u64 = 24;
     pub const XML_LENGTH: u64 = 32;
 }
 
-/// Longest XML that is read: it is held, and a tree of it.
+/// Longest XML that is read, which bounds the memory for it and its tree.
 const MOST_XML: u64 = 64 << 20;
 
 /// The header's content.

@@ -43,7 +43,7 @@ use crate::{
     Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline, wkt,
 };
 
-/// Whether a file that begins so is E57.
+/// Whether a file with these first bytes is E57.
 pub(super) fn is_e57(start: &[u8]) -> bool {
     start.starts_with(header::MAGIC)
 }

@@ -1,5 +1,4 @@
-//! Where the streams of a scan's fields are in the file: a section of packets, each with the next bytes of
-//! every stream.
+//! Packets of a scan: a section of the file in which each packet has the next bytes of every field's stream.
 
 use std::ops::Range;
 
@@ -12,15 +11,15 @@ use crate::source::SourceFile;
 /// Bytes of the head of a section.
 const HEAD: u64 = 32;
 
-/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: what has to be
-/// read to have all numbers of some points is bounded by it.
+/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: a bound of what
+/// has to be read to have all numbers of some points.
 const MOST_APART: u64 = 1 << 18;
 
 /// Numbers in the tables of all scans, so 8 MiB; but a scan has a few rows at least.
 const ROOM: usize = 1 << 20;
 const LEAST_ROWS: usize = 4;
 
-/// A place before a packet, and what of each stream comes before it.
+/// Start of a packet, and the number of bytes of each stream before it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PacketStart {
     /// The logical byte at which the packet begins.
@@ -36,12 +35,13 @@ pub(super) struct PacketStart {
 pub(super) struct Packets {
     /// The logical bytes of the section.
     pub section: Range<u64>,
-    /// Where the walk is over: all streams are complete there.
+    /// Logical byte of the file at which all streams are complete, and the walk is over.
     pub end: u64,
     streams: usize,
-    /// For each place that is kept, its byte and those before it of each stream, side by side.
+    /// Starts of the packets that are kept: the byte of each, and the numbers of bytes of each stream before
+    /// it, side by side.
     table: Vec<u64>,
-    /// From one place that is kept to the next.
+    /// Number of packets from one start that is kept to the next.
     stride: usize,
 }
 
@@ -50,11 +50,11 @@ pub(super) struct PacketStream {
     pub stream: usize,
     /// The bytes of the stream.
     pub of_stream: Range<u64>,
-    /// The logical byte of the file at which they begin.
+    /// Logical byte of the file at which the bytes of the stream begin.
     pub at: u64,
 }
 
-/// What a walk through packets needs to know.
+/// File, window and scan of a walk through packets.
 pub(super) struct PacketWalk<'a, 'w> {
     pub source: &'a SourceFile,
     pub window: &'a mut PageWindow<'w>,
@@ -121,8 +121,8 @@ impl Packets {
         self.stride *= 2;
     }
 
-    /// The last place that is kept of which `is_before` holds, as it does of all before it; or else the first
-    /// one.
+    /// Last start that is kept for which `is_before` holds, as it does for all starts before; or else the
+    /// first one.
     pub fn last_place(&self, is_before: impl Fn(u64, &[u64]) -> bool) -> Option<PacketStart> {
         let row = self.streams + 1;
         let place = |number: usize| {
@@ -158,7 +158,7 @@ fn check_apart(walk: &PacketWalk<'_, '_>, fields: &[E57Field], now: &PacketStart
 }
 
 impl<'a> PacketWalk<'a, '_> {
-    /// What is wrong at a logical byte.
+    /// Returns a function that makes the error of a malformed packet at a logical byte.
     fn wrong(&self) -> impl Fn(u64, std::fmt::Arguments<'_>) -> crate::Error + use<'a> {
         let (source, name) = (self.source, self.name);
         move |at, what| {

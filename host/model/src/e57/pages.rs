@@ -101,7 +101,7 @@ impl<'a> PageWindow<'a> {
         let end = (self.source.len() / PAGE).min(pages.end);
         let behind = self.first + self.bytes.len() as u64 / PAYLOAD;
         if (self.first..behind).contains(&pages.start) {
-            // What is there already stays.
+            // Bytes of these pages that the window has already are kept.
             self.bytes.drain(..((pages.start - self.first) * PAYLOAD) as usize);
         } else {
             self.bytes.clear();

@@ -21,16 +21,17 @@ use crate::{CHUNK_VERTICES, Result, VertexChunk};
 /// Most pages of a piece.
 const MOST_PAGES: u64 = 1024;
 
-/// Pages that have no more points than a chunk, whatever they hold: those of bits.
+/// Number of pages that have no more points than a chunk, whatever they hold: even where a point takes a
+/// single bit.
 const FEW_PAGES: u64 = 8;
 
-/// Pages that are read before and behind a piece, for the numbers of its points that are there.
+/// Number of pages that are read before and behind a piece, for the numbers of its points that are there.
 const AROUND: u64 = 66;
 
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// What of the file comes next.
+/// Section of the file that comes next.
 #[derive(Debug)]
 enum E57Section {
     Copy(Range<u64>),
@@ -39,11 +40,11 @@ enum E57Section {
         pages: Range<u64>,
         scans: Range<usize>,
     },
-    /// The end of the file, or where it ends now.
+    /// The end of the file, or the place where it ends now.
     Ending(Range<u64>),
 }
 
-/// What of a scan a piece has.
+/// Points of a scan in a piece, and where their bytes are.
 #[derive(Debug, Default)]
 pub(super) struct ScanSegment {
     pub scan: usize,
@@ -51,9 +52,9 @@ pub(super) struct ScanSegment {
     pub own: Range<u64>,
     /// The points of which a part of a number is here.
     pub alone: Vec<u64>,
-    /// What all points have of which numbers are here.
+    /// Streams of all points of which the piece has a number, or a part of one.
     pub streams: Streams,
-    /// Where the bytes of streams are in the pages.
+    /// Bytes of the streams that are in the pages of the piece.
     pub runs: Vec<StreamRun>,
 }
 
@@ -73,7 +74,7 @@ pub(super) struct PieceLayout {
 }
 
 impl ScanSegment {
-    /// All points of which numbers are here.
+    /// Range of all points of which numbers are in the piece.
     pub fn points(&self) -> &Range<u64> {
         &self.streams.points
     }
@@ -154,14 +155,14 @@ impl<'a> E57Pieces<'a> {
         Ok(pages.end)
     }
 
-    /// What each stream of a scan has before a logical byte.
+    /// Number of bytes of each stream of a scan before a logical byte of the file.
     fn before(&mut self, scan: &Scan, byte: u64) -> Result<Vec<u64>> {
         let mut before = scan.packets.before(&mut self.model.walk(scan, &mut self.window), byte)?;
         before.resize(scan.described.fields.len(), 0);
         Ok(before)
     }
 
-    /// What of a scan some pages have.
+    /// Segment of a scan that some pages have.
     fn segment(&mut self, number: usize, pages: &Range<u64>) -> Result<ScanSegment> {
         let scan = &self.model.scans[number];
         let bytes = pages.start * PAYLOAD..pages.end * PAYLOAD;
@@ -176,7 +177,7 @@ impl<'a> E57Pieces<'a> {
             (false, true) => scan.lead_numbers(&start)..count,
             (false, false) => scan.lead_numbers(&start)..scan.lead_numbers(&end),
         };
-        // Never backwards, whatever became of the file meanwhile.
+        // The range never goes backwards, even if the file has changed meanwhile.
         let own = own.start..own.end.max(own.start);
         let (mut points, mut alone) = (own.clone(), Vec::new());
         let patched = scan.patched();
@@ -203,7 +204,7 @@ impl<'a> E57Pieces<'a> {
         Ok(segment)
     }
 
-    /// Where the bytes of those fields of a scan that are written anew are in some bytes of the file.
+    /// Runs of those fields of a scan that are written anew, within some bytes of the file.
     fn runs(&mut self, scan: &Scan, patched: &[usize], bytes: &Range<u64>) -> Result<Vec<StreamRun>> {
         let mut runs = Vec::new();
         let Some(mut place) = scan.packets.last_place(|at, _| at <= bytes.start) else { return Ok(runs) };
@@ -225,7 +226,7 @@ impl<'a> E57Pieces<'a> {
         Ok(runs)
     }
 
-    /// Reads the piece that begins with the first of some pages; where it ends.
+    /// Reads the piece that begins with the first of some pages; returns the page at which the piece ends.
     fn read_points(
         &mut self,
         pages: &Range<u64>,
@@ -354,7 +355,8 @@ impl E57Model {
 }
 
 impl Scan {
-    /// How many points begin in what each stream has so far: those of whose leading number a bit is there.
+    /// Number of points that begin within the first `before` bytes of each stream: those of whose leading
+    /// number there is a bit.
     pub fn lead_numbers(&self, before: &[u64]) -> u64 {
         let Some(lead) = self.lead else { return 0 };
         let width = u64::from(self.described.fields[lead].bits().max(1));

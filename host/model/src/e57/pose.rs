@@ -1,4 +1,4 @@
-//! Where a scan stands: from its own frame to the one that all scans share.
+//! Pose of a scan: the rotation and translation from its own frame to the one that all scans share.
 
 use glam::{DMat3, DVec3, Mat3};
 
@@ -17,7 +17,7 @@ impl Default for ScanPose {
 }
 
 impl ScanPose {
-    /// The pose of a quaternion `[w, x, y, z]`; `None` where it is no rotation.
+    /// Pose with the rotation of a quaternion `[w, x, y, z]`; `None` where that is no rotation.
     pub fn new(rotation: [f64; 4], translation: DVec3) -> Option<Self> {
         // Scaled, so that squares neither overflow nor vanish.
         let largest = rotation.iter().fold(0.0, |all: f64, one| all.max(one.abs()));
@@ -60,7 +60,7 @@ impl ScanPose {
         self.turned(p) + self.translation
     }
 
-    /// Whether both frames are the same.
+    /// Whether the scan's frame is the shared one.
     pub fn is_identity(&self) -> bool {
         *self == Self::default()
     }
@@ -99,7 +99,7 @@ mod tests {
         let half = 0.5f64.sqrt();
         let pose = ScanPose::new([half, 0.0, 0.0, half], DVec3::new(10.0, 0.0, 0.0)).unwrap();
         assert!((pose.position(DVec3::X) - DVec3::new(10.0, 1.0, 0.0)).length() < 1e-15);
-        // What goes up goes up, to the bit.
+        // A vector along the axis of the turn keeps all its bits.
         assert_eq!(pose.turned_back(DVec3::new(0.0, 0.0, 0.1)), DVec3::new(0.0, 0.0, 0.1));
         let (axis, angle) = pose.rotation().unwrap();
         assert!((axis - DVec3::Z).length() < 1e-12 && (angle - 90.0).abs() < 1e-12);

@@ -84,7 +84,7 @@ struct Moving<'a, 'v> {
 }
 
 impl Moving<'_, '_> {
-    /// Notes how far vertices of a scan reached, and how far they do now.
+    /// Notes the limits of a scan's vertices before and after the motion.
     fn note_reach(&mut self, scan: usize, before: ScanReach, after: ScanReach) {
         for (kind, boxes) in (0..).zip(before.into_iter().zip(after)) {
             let number = 2 * scan as u32 + kind;
@@ -93,7 +93,7 @@ impl Moving<'_, '_> {
         }
     }
 
-    /// Patches what the pages have of a segment.
+    /// Patches the numbers of a segment in its pages.
     fn patch(&mut self, segment: &ScanSegment, pages: &mut [u8]) -> Result<()> {
         let scan = &self.model.scans[segment.scan];
         let points = segment.points().clone();
@@ -144,7 +144,7 @@ impl Moving<'_, '_> {
         Ok(())
     }
 
-    /// Turns what follows of a vertex; whether any bits changed.
+    /// Turns the attributes of a vertex that follow the surface; returns whether any bits changed.
     fn turn_vertex(&self, segment: &ScanSegment, bits: &mut [u64], vertex: usize) -> bool {
         let edited = self.version.edited;
         let moves = entry_of(self.from, vertex).is_some_and(|from| from.is_finite());
@@ -203,7 +203,7 @@ fn put(segment: &ScanSegment, fields: &[usize], rows: &[u64], changed: &[usize],
         let mut packed = packed.clone();
         changed.iter().for_each(|index| packed.put(*index, rows[index * fields.len() + i]));
         for run in segment.runs.iter().filter(|run| run.field == *field) {
-            // Behind the last number there may be more bytes.
+            // There may be more bytes behind the last number.
             let end = packed.first + packed.bytes().len() as u64;
             let (start, end) = (run.of_stream.start.max(packed.first), run.of_stream.end.min(end));
             if start < end {
@@ -227,7 +227,8 @@ fn entry_of<T: Copy>(lists: [&[T]; 2], index: usize) -> Option<T> {
 }
 
 impl E57Model {
-    /// Whether bytes of a page are known in the end only: those of the header, and the first ones of the XML.
+    /// Whether some bytes of a page are known in the end only: those of the header, and the first ones of the
+    /// XML.
     fn is_finished_later(&self, page: u64) -> bool {
         page == 0 || page == self.header.xml.start / PAYLOAD
     }

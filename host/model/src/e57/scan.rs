@@ -1,6 +1,6 @@
-//! A scan: its points' fields, which of them are positions and normals, and what becomes of these.
+//! A scan: the fields of its points, those among them that are positions and normals, and their new numbers.
 //!
-//! A *row* is what is read of a point: the bits of those fields.
+//! A *row* is the part of a point that is read: the bits of those fields.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -24,14 +24,15 @@ pub(super) const NUMBER: usize = 8;
 pub(super) struct Scan {
     pub described: Described,
     pub packets: Packets,
-    /// The model's number of its first point.
+    /// Index in the model of the scan's first point.
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
-    /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the
-    /// scan lacks one.
+    /// Fields of the numbers that turn with the surface besides normals, in the order of those numbers; none
+    /// where the scan lacks one.
     pub turning: Vec<Option<usize>>,
-    /// How they are stored, and how they are written, which is with other ranges where these were chosen.
+    /// Types of the row's fields as they are stored, and (`written`) as they are written: with other ranges
+    /// where these were chosen.
     kinds: Vec<NumberEncoding>,
     written: Vec<NumberEncoding>,
     roles: Roles,
@@ -39,11 +40,11 @@ pub(super) struct Scan {
     /// bits.
     pub lead: Option<usize>,
     pub has_normals: bool,
-    /// Whether the text says how far x, y and z reach, and range, azimuth and elevation.
+    /// Whether the text declares limits of x, y and z, and of range, azimuth and elevation.
     wants: [bool; 2],
 }
 
-/// Where in a row things are.
+/// Places of coordinates, their states and normals in a row.
 #[derive(Debug, Default)]
 struct Roles {
     cartesian: Option<[usize; 3]>,
@@ -60,7 +61,8 @@ pub(super) struct CoordinateOverflow {
     pub value: f64,
 }
 
-/// A field of whose bits no range is wide enough: the field, and from where to where its numbers would go.
+/// Field whose bits allow no range that is wide enough: the field, and the least and the largest number that
+/// it would have.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TooWide {
     pub field: usize,
@@ -70,11 +72,11 @@ pub(super) struct TooWide {
 /// An angle by which points turn further than samples at most: near the scanner it could be any.
 const MOST_TURN: f64 = 0.1;
 
-/// A number of a place, as fields of positions have it.
+/// Coordinate of a position, as the fields of positions have it.
 #[derive(Debug, Clone, Copy)]
 struct Coordinate {
     number: f64,
-    /// How much less or more it may be nearby, and what it is at most, either way.
+    /// Margin by which the number may be less or more nearby, and (`most`) its largest possible magnitude.
     margin: f64,
     most: f64,
     is_angle: bool,
@@ -83,7 +85,7 @@ struct Coordinate {
 }
 
 impl Coordinate {
-    /// The number plus whole turns, within a range if it can be; or else next to another number.
+    /// The number plus whole turns, within a range if possible; or else next to another number.
     fn beside(&self, other: f64, (least, most): (f64, f64)) -> f64 {
         if !self.turns {
             return self.number;
@@ -94,11 +96,11 @@ impl Coordinate {
     }
 }
 
-/// How far points reach: in x, y and z, and in range, azimuth and elevation, in the scan's own frame.
+/// Boxes of points in the scan's own frame: of x, y and z, and of range, azimuth and elevation.
 pub(super) type ScanReach = [Bounds; 2];
 
 impl Scan {
-    /// None if its points have no positions.
+    /// Scan from its description; none if its points have no positions.
     pub fn new(described: Described, packets: Packets, first: u64) -> Option<Self> {
         let fields = &described.fields;
         let mut row = Vec::new();
@@ -139,18 +141,18 @@ impl Scan {
         })
     }
 
-    /// The fields that are written anew: those of a row, and what turns.
+    /// Fields that are written anew: those of a row, and those that turn.
     pub fn patched(&self) -> Vec<usize> {
         let others = self.turning.iter().flatten().filter(|field| !self.row.contains(field));
         self.row.iter().chain(others).copied().collect()
     }
 
-    /// The model's numbers of its points.
+    /// Range of the scan's points in the model.
     pub fn vertices(&self) -> Range<u64> {
         self.first..self.first + self.described.count
     }
 
-    /// Whether its points have spherical coordinates.
+    /// Whether the scan's points have spherical coordinates.
     pub fn has_spherical(&self) -> bool {
         self.roles.spherical.is_some()
     }
@@ -172,15 +174,15 @@ impl Scan {
         &self.described.fields[self.row[of_row]]
     }
 
-    /// From one number to the next of positions that are written, along three directions at right angles, the
-    /// coarsest of cartesian and spherical ones; zero where they are floats.
+    /// Steps from one number to the next of positions that are written, along three directions at right
+    /// angles, the coarsest of cartesian and spherical ones; zero where positions are floats.
     pub fn step(&self) -> DVec3 {
         if let Some(three) = self.roles.cartesian {
             return DVec3::from(three.map(|i| self.field(i).step()));
         }
         let Some(three) = self.roles.spherical else { return DVec3::ZERO };
         let [range, azimuth, elevation] = three.map(|i| self.field(i).step());
-        // As far as the file says that points are.
+        // The farthest point is at the largest range that the file declares.
         let corner = Corner { is_spherical: true, axis: 0, is_max: true };
         let told = self.described.slots.iter().filter(|slot| slot.corner == corner).map(|slot| slot.value);
         let field = self.field(three[0]);
@@ -200,7 +202,7 @@ impl Scan {
         three.map(|i| self.value(row, i))
     }
 
-    /// Where x, y and z are in a row, if they are said to be a position.
+    /// Places of x, y and z in a row, if the row says that its position is valid.
     #[inline]
     fn valid_cartesian(&self, row: &[u64]) -> Option<[usize; 3]> {
         let is_valid = |state: &usize| self.value(row, *state) == 0.0;
@@ -244,8 +246,8 @@ impl Scan {
         self.described.pose.turned(DVec3::from(self.three(row, three))).as_vec3()
     }
 
-    /// Turns a row into what is written of it: with its point at another place, if it moves from one position
-    /// to another, both in the frame of all scans. Returns whether any bits changed.
+    /// Turns a row into the row that is written: with its point at another place, if the point moves from one
+    /// position to another, both in the frame of all scans. Returns whether any bits changed.
     pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, CoordinateOverflow> {
         let before = self.local(row);
         let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
@@ -296,7 +298,7 @@ impl Scan {
         Ok(changed)
     }
 
-    /// Whether integers are written with other ranges than they have.
+    /// Whether integers are written with other ranges than they are stored with.
     pub fn has_other_ranges(&self) -> bool {
         self.written != self.kinds
     }
@@ -372,8 +374,8 @@ impl Scan {
         Ok(())
     }
 
-    /// The numbers of a place in the frame of all scans: x, y and z, if points have them, and then range,
-    /// azimuth and elevation; each with what a margin around the place makes of it.
+    /// Coordinates of a place in the frame of all scans: x, y and z, if points have them, and then range,
+    /// azimuth and elevation; each with the margin that follows from one around the place.
     fn coordinates(&self, p: DVec3, margin: f64) -> Vec<Coordinate> {
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
         let length =
@@ -395,8 +397,8 @@ impl Scan {
         all
     }
 
-    /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields
-    /// hold: a field may reach just as far as its points do, and a position be rounded.
+    /// Whether any point may be at a position in the frame of all scans: the fields hold it, or it is hardly
+    /// beyond their range, since a field may reach just as far as its points do, and a position be rounded.
     pub fn has_room_for(&self, p: DVec3) -> bool {
         const HARDLY: f64 = 1e-3;
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
@@ -410,8 +412,8 @@ impl Scan {
         flat && polar.is_none_or(|[range, ..]| fits(range, spherical(local)[0]))
     }
 
-    /// Turns a normal to another one, in the frame of all scans; whether any bits changed. What a field
-    /// cannot hold stays.
+    /// Turns a normal to another one, in the frame of all scans; returns whether any bits changed. Numbers
+    /// that a field cannot hold stay as they were.
     pub fn turn_normal(&self, row: &mut [u64], from: Vec3, to: Vec3) -> bool {
         let Some(three) = self.roles.normal else { return false };
         if from.to_array().map(f32::to_bits) == to.to_array().map(f32::to_bits) || !to.is_finite() {
@@ -429,8 +431,9 @@ impl Scan {
         changed
     }
 
-    /// Turns the numbers that `turn` is for, by a gradient in the frame of all scans: `bits` are those of
-    /// [`turning`](Self::turning) that the scan has. Whether any changed; what a field cannot hold stays.
+    /// Turns the numbers of an attribute by `turn`, with a gradient in the frame of all scans: `bits` are
+    /// those of [`turning`](Self::turning) that the scan has. Returns whether any changed; numbers that a
+    /// field cannot hold stay as they were.
     pub fn turn(&self, bits: &mut [u64], gradient: &Mat3, turn: impl FnOnce(&Mat3, &mut [f64])) -> bool {
         let fields = &self.described.fields;
         let mut there = bits.iter();
@@ -454,7 +457,7 @@ impl Scan {
         changed
     }
 
-    /// An angle, held to the range of its field if it is beyond that by less than a step.
+    /// Angle held to the range of its field if it is beyond that range by less than a step.
     fn held(&self, of_row: usize, angle: f64) -> f64 {
         let (least, most) = self.written[of_row].range();
         let near = angle.clamp(least, most);
@@ -472,13 +475,15 @@ impl Scan {
         Ok(changed)
     }
 
-    /// How far a point reaches, as far as the text says it of all: nowhere, if it has no position.
+    /// Coordinates of a point that count for the declared limits, both kinds; none for a point without a
+    /// position, and none of a kind without limits.
     #[inline]
     pub fn reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
         self.reach_of(&self.kinds, row)
     }
 
-    /// How far the point of a row that is written reaches.
+    /// Coordinates of the point of a row that is written, as [`reach`](Self::reach) has them of one that is
+    /// stored.
     #[inline]
     pub fn new_reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
         self.reach_of(&self.written, row)
@@ -498,14 +503,14 @@ impl Scan {
         self.wants != [false; 2]
     }
 
-    /// The range of an axis in the scan's own frame that its fields can hold.
+    /// Range that a field of the scan can hold, in the scan's own frame.
     pub fn range(&self, field: usize) -> (f64, f64) {
         let of_row = self.row.iter().position(|of_row| *of_row == field);
         of_row.map_or(self.described.fields[field].kind, |of_row| self.written[of_row]).range()
     }
 
-    /// The ranges of integers that are written, where they are others: the field, and the least and the
-    /// largest number.
+    /// Ranges of integers that are written, where they differ from the stored ones: the field, and the least
+    /// and the largest number.
     pub fn other_ranges(&self) -> impl Iterator<Item = (usize, [i64; 2])> {
         let all = self.row.iter().zip(&self.kinds).zip(&self.written);
         all.filter(|((_, old), new)| old != new).filter_map(|((field, _), new)| match new {
@@ -515,7 +520,7 @@ impl Scan {
     }
 }
 
-/// Puts fields into the row, if all are there; where they are in it.
+/// Appends fields to the row, if all are there; returns their places in the row.
 fn all<const N: usize>(fields: [Option<usize>; N], row: &mut Vec<usize>) -> Option<[usize; N]> {
     if fields.iter().any(Option::is_none) {
         return None;

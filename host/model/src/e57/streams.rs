@@ -14,12 +14,12 @@ use crate::Result;
 pub(super) struct Streams {
     /// The points.
     pub points: Range<u64>,
-    /// The fields, and their numbers; none of other fields.
+    /// Packed numbers of each field that was read; none for other fields.
     pub packed: Vec<Option<PackedNumbers>>,
 }
 
 impl Streams {
-    /// Reads what the points have of some fields.
+    /// Reads the numbers of some fields of the points.
     pub fn read(
         &mut self,
         mut walk: PacketWalk<'_, '_>,
@@ -93,7 +93,8 @@ impl Streams {
 }
 
 impl Packets {
-    /// What each stream has before a logical byte of the file, from the last place that is before it on.
+    /// Number of bytes of each stream before a logical byte of the file, by a walk from the last known place
+    /// before it.
     pub fn before(&self, walk: &mut PacketWalk<'_, '_>, byte: u64) -> Result<Vec<u64>> {
         let Some(mut place) = self.last_place(|at, _| at <= byte) else { return Ok(Vec::new()) };
         let mut before = place.before.clone();

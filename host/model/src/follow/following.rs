@@ -19,52 +19,52 @@ enum FollowRule {
     Splat(SplatNumbers),
 }
 
-/// The numbers of a model that turn with the surface, once it is open.
+/// Attributes of an opened model that turn with the surface.
 #[derive(Debug, Default)]
 pub struct Following {
     /// The places of the attributes that follow, group by group.
     places: Vec<usize>,
     groups: Vec<(FollowRule, Range<usize>)>,
-    /// For people, and to tell one from another.
+    /// Descriptions of the attributes, for people, and to tell one set of rules from another.
     descriptions: Vec<String>,
     opacity: Opacity,
     max_anisotropy: Option<f64>,
-    /// Why it is not known what turns.
+    /// Reason for which the attributes that turn are unknown, if they are.
     misfit: Option<String>,
     tally: SplatTally,
 }
 
-/// What became of the splats of all versions.
+/// Counts of the splats of all versions that were treated specially.
 #[derive(Debug, Default)]
 struct SplatTally {
-    /// Splats that keep their numbers, as some mean nothing.
+    /// Number of splats that keep their numbers, as some are meaningless.
     kept: AtomicU64,
-    /// Splats that were longer than [`NEEDLE`] times their second axis afterwards and not before.
+    /// Number of splats that were longer than [`NEEDLE`] times their second axis afterwards and not before.
     needles: AtomicU64,
-    /// Bits of the largest ratio of any of these.
+    /// Bits of the largest ratio of the axes of any of these.
     longest: AtomicU64,
 }
 
-/// From here on a splat is seen as a needle.
+/// Ratio of the axes from which on a splat is seen as a needle.
 const NEEDLE: f64 = 10.0;
 
 impl Following {
-    /// What turns among the attributes of a model without being declared: splats, told by their properties.
-    /// Where they lack one, nothing does, and [`check`](Self::check) says so.
+    /// Finds the attributes that turn without being declared: those of splats, told by their properties.
+    /// Where splats lack a property, no attribute turns, and [`check`](Self::check) says so.
     pub(crate) fn recognised(attributes: &[Attribute]) -> Self {
         let found = Self::find(&Follow::default(), attributes);
         found.unwrap_or_else(|why| Self { misfit: Some(why), ..Self::default() })
     }
 
-    /// What is to turn among the attributes of the model in `file`.
+    /// Finds the attributes that turn in the model in `file`: declared ones, and those of splats.
     ///
     /// # Errors
-    /// What is declared is not there, or is not of floating-point numbers; splats lack a property.
+    /// A declared attribute is missing, or not of floating-point numbers; splats lack a property.
     pub(crate) fn declared(follow: &Follow, attributes: &[Attribute], file: &Path) -> Result<Self> {
         Self::find(follow, attributes).map_err(|why| misfit(&why, file))
     }
 
-    /// An error where it is not known what turns.
+    /// Checks that the attributes that turn are known.
     pub(crate) fn check(&self, file: &Path) -> Result<()> {
         self.misfit.as_ref().map_or(Ok(()), |why| Err(misfit(why, file)))
     }
@@ -105,7 +105,7 @@ impl Following {
         self.descriptions.push(description);
     }
 
-    /// Whether nothing follows.
+    /// Whether no attribute turns.
     pub fn is_empty(&self) -> bool {
         self.groups.is_empty()
     }
@@ -115,7 +115,7 @@ impl Following {
         self.groups.iter().any(|(rule, _)| matches!(rule, FollowRule::Splat(_)))
     }
 
-    /// What follows, for people: all that determines what becomes of it.
+    /// Descriptions of the attributes that turn, for people: with all that determines their new numbers.
     pub fn descriptions(&self) -> &[String] {
         &self.descriptions
     }
@@ -153,17 +153,17 @@ impl Following {
         let [before, after] = ratios;
         if after > NEEDLE && before <= NEEDLE {
             self.tally.needles.fetch_add(1, Ordering::Relaxed);
-            // Of positive numbers, the larger ones have the larger bits.
+            // Bits of positive numbers are in the order of the numbers.
             self.tally.longest.fetch_max(after.to_bits(), Ordering::Relaxed);
         }
     }
 
-    /// Tells what became of the splats of a file, where users should know.
+    /// Notes what users should know of the splats of a file, which may keep their numbers or become needles.
     pub(crate) fn tell(&self, file: &Path, progress: &dyn Progress) {
         self.notes().iter().for_each(|note| progress.note(&format!("{}: {note}", file.display())));
     }
 
-    /// Notes on what became of the splats, which are counted anew after it.
+    /// Notes on the splats, which are counted anew after this call.
     fn notes(&self) -> Vec<String> {
         let SplatTally { kept, needles, longest } = &self.tally;
         let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));
@@ -184,7 +184,7 @@ impl Following {
     }
 }
 
-/// An error where it is not known what turns.
+/// Error of attributes that cannot turn, for the reason `why`.
 fn misfit(why: &str, file: &Path) -> Error {
     let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
     Error::argument(format!("{}: {why}", file.display()), hint)

@@ -2,7 +2,8 @@
 //!
 //! The bands are those of 3D Gaussian splatting, with its signs and order. Each band is closed under
 //! rotations, so the new coefficients are those for which both sides agree in as many directions as the band
-//! has functions; the directions are fixed, and so is the inverse of what the functions are there.
+//! has functions; the directions are fixed, and so is the inverse of the matrix of the functions' values
+//! there.
 
 use std::sync::LazyLock;
 
@@ -16,7 +17,7 @@ const MOST: usize = 7;
 
 type Square = [[f64; MOST]; MOST];
 
-/// The functions of a band, from 1 to 3, at a unit direction; what is beyond the band is 0.
+/// Functions of a band, from 1 to 3, at a unit direction; entries beyond the band are 0.
 pub(super) fn band(band: usize, d: DVec3) -> [f64; MOST] {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -69,8 +70,8 @@ static DIRECTIONS: LazyLock<[DVec3; MOST]> = LazyLock::new(|| {
     })
 });
 
-/// For each band, what gives coefficients from values in the first directions: for each of these its part in
-/// all coefficients.
+/// Matrix for each band that gives coefficients from the values in the first directions: for each direction,
+/// the part of its value in all coefficients.
 static INVERSES: LazyLock<[Square; 3]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let values = DIRECTIONS.map(|d| band(i + 1, d));
@@ -106,9 +107,9 @@ fn inverse(m: &Square, size: usize) -> Square {
     right
 }
 
-/// What rotates the coefficients of bands 1 up to some degree.
+/// Matrices that rotate the coefficients of bands 1 up to some degree.
 pub(super) struct BandRotation {
-    /// For each coefficient before its part in all of the band.
+    /// Matrix of each band: a row for each coefficient before, with its part in all coefficients of the band.
     bands: [Square; 3],
 }
 
@@ -120,7 +121,7 @@ impl BandRotation {
         for (i, to) in bands.iter_mut().enumerate().take(degree) {
             for (direction, inverse) in DIRECTIONS.iter().zip(&INVERSES[i]).take(SIZES[i]) {
                 let before = band(i + 1, back * *direction);
-                // Whole rows at once: what is beyond the band is 0.
+                // Whole rows are computed at once: entries beyond the band are 0.
                 for (column, b) in to.iter_mut().zip(before).take(SIZES[i]) {
                     column.iter_mut().zip(inverse).for_each(|(entry, a)| *entry += a * b);
                 }

@@ -4,7 +4,8 @@ use super::rules::TensorKind;
 use super::splat::SplatNumbers;
 use crate::{Attribute, Type};
 
-/// Where an attribute of floating-point numbers is.
+/// Place of an attribute among all, if there is one of this name; an error if its numbers are not
+/// floating-point.
 fn place(name: &str, attributes: &[Attribute]) -> Result<Option<usize>, String> {
     let Some(place) = attributes.iter().position(|a| a.name == name) else { return Ok(None) };
     match attributes[place].kind {
@@ -13,7 +14,7 @@ fn place(name: &str, attributes: &[Attribute]) -> Result<Option<usize>, String> 
     }
 }
 
-/// Where all of these are, if they are all there.
+/// Places of the attributes of all these names, if all are there.
 fn all(names: &[String], attributes: &[Attribute]) -> Result<Option<Vec<usize>>, String> {
     if !names.iter().all(|name| attributes.iter().any(|a| a.name == *name)) {
         return Ok(None);
@@ -24,7 +25,7 @@ fn all(names: &[String], attributes: &[Attribute]) -> Result<Option<Vec<usize>>,
 /// Ways in which programs name the parts of a vector.
 const STYLES: usize = 6;
 
-/// What a part of `name` is called in one of these ways.
+/// Name of a part of `name` in one of the spellings, as `name_x`.
 fn spelt(style: usize, name: &str, i: usize, part: &str) -> String {
     match style {
         0 => format!("{name}_{part}"),
@@ -44,7 +45,7 @@ fn capitals(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|part| part.to_ascii_uppercase()).collect()
 }
 
-/// The attributes that are meant by a declared name, in the order of its numbers.
+/// Places of the attributes that a declared name means, in the order of its numbers.
 pub(super) fn declared(name: &str, kind: TensorKind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
     let parts: &[&str] = match kind {
         TensorKind::Vector | TensorKind::Direction | TensorKind::Normal => &["x", "y", "z"],
@@ -66,7 +67,7 @@ pub(super) fn declared(name: &str, kind: TensorKind, attributes: &[Attribute]) -
     Err(format!("the vertices have no properties {}", wanted.join(", ")))
 }
 
-/// Where the opacity of splats is, if the vertices are such.
+/// Place of the opacity of splats, if the vertices are splats.
 pub fn opacity(attributes: &[Attribute]) -> Option<usize> {
     let has = |name: &str| attributes.iter().any(|a| a.name == name);
     (has("rot_0") && has("scale_0")).then(|| attributes.iter().position(|a| a.name == "opacity"))?

@@ -26,7 +26,7 @@ pub enum TensorKind {
 }
 
 impl TensorKind {
-    /// All kinds, by the names that users give.
+    /// Names of all kinds, as users give them.
     const NAMES: [(&str, Self); 6] = [
         ("vector", Self::Vector),
         ("direction", Self::Direction),
@@ -36,7 +36,7 @@ impl TensorKind {
         ("covariance", Self::Covariance),
     ];
 
-    /// The name that users know it by.
+    /// Name of the kind, as users give it.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
@@ -52,27 +52,29 @@ impl FromStr for TensorKind {
     }
 }
 
-/// What becomes of the opacity of splats.
+/// Rule for the opacity of splats.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Opacity {
     /// The opacity stays.
     #[default]
     Keep,
-    /// A splat that is stretched to twice the area lets as much light through as half of its matter would.
+    /// Matter is conserved: a splat that is stretched to twice the area lets as much light through as half of
+    /// its matter would.
     Conserve,
 }
 
-/// What of a model is to turn with the surface.
+/// Rules for the attributes of a model that turn with the surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Follow {
-    /// Numbers by what their names begin with, as `tangent` of `tangent_x`, `tangent_y` and `tangent_z`.
+    /// Kinds of declared numbers by the beginning of their names, as `tangent` of `tangent_x`, `tangent_y`
+    /// and `tangent_z`.
     pub declared: BTreeMap<String, TensorKind>,
     /// Whether splats are recognised by their properties.
     pub splats: bool,
-    /// What becomes of the opacity of splats.
+    /// Rule for the opacity of splats.
     pub opacity: Opacity,
-    /// No splat becomes longer than so many times its second axis, unless it was before.
+    /// Longest axis that a splat may get, in lengths of its second axis, unless it was longer before.
     pub max_anisotropy: Option<f64>,
 }
 
@@ -105,11 +107,12 @@ impl FromStr for Follow {
 }
 
 impl Follow {
-    /// Splats alone, which keep their opacity.
+    /// Rules by which splats alone turn, and keep their opacity.
     pub const SPLATS: Self =
         Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
 
-    /// These rules, with numbers declared that they say nothing of.
+    /// Rules with `declared` as their declarations, if they declare nothing and recognise splats; else the
+    /// rules as they are.
     pub fn or_declared(mut self, declared: &BTreeMap<String, TensorKind>) -> Self {
         if self.declared.is_empty() && self.splats {
             self.declared.clone_from(declared);

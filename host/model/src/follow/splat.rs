@@ -9,15 +9,15 @@ use super::harmonics::BandRotation;
 use super::rules::Opacity;
 use super::turn::{VertexTurn, lengths, on_side_of, orthogonal, sorted};
 
-/// Cosines between axes below this are those of right angles: what a gradient in floats cannot tell apart
-/// does not turn the axes of round splats.
+/// Cosine between axes below which they count as at right angles: a gradient in single precision cannot tell
+/// such axes from right angles, and so does not turn the axes of round splats.
 const RIGHT_ANGLE: f64 = 1e-7;
 
 /// Changes of scales below this are none, likewise.
 const UNSTRETCHED: f64 = 1e-6;
 
-/// What numbers a splat has: the quaternion (real part first), logarithms of scales, coefficients of bands 1
-/// up to the degree, those of a channel after the other, and the opacity before the sigmoid.
+/// Numbers of a splat: the quaternion (real part first), logarithms of scales, coefficients of bands 1 up to
+/// the degree, those of a channel after the other, and the opacity before the sigmoid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SplatNumbers {
     /// Three, or two of a disc.
@@ -33,11 +33,11 @@ impl fmt::Display for SplatNumbers {
     }
 }
 
-/// The quaternion and the scales, as long as they mean something.
+/// Ellipsoid of a splat: its quaternion and scales, as long as these are meaningful.
 struct Ellipsoid {
     quaternion: DQuat,
     length: f64,
-    /// As parts of the largest one; 0 across a disc.
+    /// Scales as parts of the largest one; 0 across a disc.
     scales: [f64; 3],
 }
 
@@ -47,8 +47,8 @@ impl SplatNumbers {
         (self.degree + 1).pow(2) - 1
     }
 
-    /// Turns a splat; returns how many times as long as its second axis it was, and is. Nothing where its
-    /// numbers mean nothing, or the deformation leaves nothing of it: it keeps them then.
+    /// Turns a splat; returns the ratios of its longest axis to its second before and after. None where its
+    /// numbers are meaningless, or the deformation leaves nothing of the splat, which keeps its numbers then.
     pub(super) fn turn(
         self,
         turn: &VertexTurn,
@@ -93,7 +93,7 @@ impl SplatNumbers {
 }
 
 impl Ellipsoid {
-    /// By quaternion and logarithms of scales.
+    /// Reads the ellipsoid from a quaternion and logarithms of scales.
     fn from_shape(shape: &[f64]) -> Option<Self> {
         let q = DQuat::from_xyzw(shape[1], shape[2], shape[3], shape[0]);
         let length = q.length();
@@ -101,7 +101,7 @@ impl Ellipsoid {
         if !(length > 0.0 && length.is_finite() && logs.iter().all(|log| log.is_finite())) {
             return None;
         }
-        // Neither overflows nor vanishes, but in thin splats what is nothing beside the rest.
+        // Nothing overflows or vanishes, but for lengths in thin splats that are nothing beside the others.
         let unit = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let scale = |i: usize| logs.get(i).map_or(0.0, |log| (log - unit).exp());
         let scales = [scale(0), scale(1), scale(2)];
@@ -113,9 +113,8 @@ impl Ellipsoid {
     }
 }
 
-/// The rotation whose axes lie along orthogonal ones, each on the side where the former axis comes to lie.
-/// The shortest of them, or what is across a disc, is what makes it a rotation: it is turned round by a
-/// mirror.
+/// Rotation whose axes lie along orthogonal ones, each on the side to which the former axis goes. The
+/// shortest axis, or the one across a disc, is turned round where the axes would be a mirror.
 fn oriented(axes: &DMat3, lengths: [f64; 3], before: &DMat3) -> Option<DMat3> {
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| lengths[*b].total_cmp(&lengths[*a]));
@@ -135,7 +134,7 @@ fn oriented(axes: &DMat3, lengths: [f64; 3], before: &DMat3) -> Option<DMat3> {
     Some(turned)
 }
 
-/// How many times as long as the second axis the longest one is.
+/// Ratio of the longest axis to the second.
 fn ratio(scales: [f64; 3]) -> f64 {
     let [first, second, _] = sorted(scales);
     first / second
@@ -157,10 +156,10 @@ fn shorten(lengths: &mut [f64; 3], most: f64) {
     }
 }
 
-/// The opacity before the sigmoid of a splat whose matter is spread over so many times the area: what it
-/// swallows, −ln(1 − α), is as many times less.
+/// Opacity before the sigmoid of a splat whose matter is spread over so many times the area: the light that
+/// it absorbs, −ln(1 − α), is as many times less.
 fn conserved(before: f64, area: f64) -> f64 {
-    // ln(1 + eˣ), and the inverse of it.
+    // ln(1 + eˣ), and the inverse of this function.
     let swallowed = before.max(0.0) + (-before.abs()).exp().ln_1p();
     let left = swallowed / area;
     let after = if left > 30.0 { left } else { left.exp_m1().ln() };

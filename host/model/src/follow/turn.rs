@@ -1,17 +1,17 @@
-//! How vectors, normals, quaternions and covariances turn under a deformation of a known gradient.
+//! Rules by which vectors, normals, quaternions and covariances turn under a deformation of a known gradient.
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3, Vec4};
 
 use super::rules::TensorKind;
 
-/// Columns are orthogonal once the cosines between them are below this.
+/// Largest cosine between columns that count as orthogonal.
 const ORTHOGONAL: f64 = 1e-14;
 
-/// Sweeps of rotations after which columns are as orthogonal as they get; three or four do.
+/// Most sweeps of rotations, after which columns are as orthogonal as they get; three or four do.
 const SWEEPS: usize = 24;
 
-/// The normal after a deformation of this gradient, of the same length as before. `mirrored` says that the
-/// deformation as a whole turns left into right, where what is outside stays outside.
+/// Normal after a deformation of this gradient, of the same length as before. `mirrored` tells that the
+/// deformation as a whole turns left into right, where the outside stays outside.
 pub fn normal(gradient: &Mat3, n: Vec3, mirrored: bool) -> Vec3 {
     if *gradient == Mat3::IDENTITY || !n.is_finite() {
         return n;
@@ -36,7 +36,7 @@ pub fn tangent(gradient: &Mat3, t: Vec4, mirrored: bool) -> Vec4 {
     turned.map_or(t, |turned| (turned * t.truncate().length()).extend(side))
 }
 
-/// A gradient, with what is known of it for all numbers of a vertex.
+/// Gradient at a vertex, with its derived matrices, for all numbers of the vertex.
 pub(super) struct VertexTurn {
     /// J.
     pub(super) gradient: DMat3,
@@ -51,7 +51,7 @@ impl VertexTurn {
         Self { gradient, polar: polar(&gradient), mirrored }
     }
 
-    /// Turns declared numbers; what is not finite stays.
+    /// Turns declared numbers; numbers that are not finite stay as they are.
     pub(super) fn declared(&self, kind: TensorKind, numbers: &mut [f64]) {
         if !numbers.iter().all(|x| x.is_finite()) {
             return;
@@ -104,7 +104,7 @@ impl VertexTurn {
         Some(on_side_of(DQuat::from_mat3(&frame), self.turned(unit)) * length)
     }
 
-    /// The quaternion after the smallest rotation that the gradient has in it, by which signs are told.
+    /// Quaternion turned by the smallest rotation that the gradient contains, by which signs are told.
     pub(super) fn turned(&self, q: DQuat) -> DQuat {
         let Some(mut rotation) = self.polar else { return q };
         if rotation.determinant() < 0.0 {
@@ -192,7 +192,7 @@ fn polar(j: &DMat3) -> Option<DMat3> {
 /// J. Higham, *Computing the Polar Decomposition, with Applications*, 1986), which is quicker; nothing where
 /// the matrix is nearly singular.
 fn polar_by_averages(j: &DMat3) -> Option<DMat3> {
-    // After each average, what is off is about half the square of what was.
+    // Errors after each average are about half the square of those before.
     const FEW: usize = 12;
     let mut q = *j;
     for _ in 0..FEW {
@@ -200,7 +200,7 @@ fn polar_by_averages(j: &DMat3) -> Option<DMat3> {
         let determinant = q.x_axis.dot(cofactors.x_axis);
         let (square, inverse_square) = (squares(&q), squares(&cofactors) / (determinant * determinant));
         (inverse_square * square < 1e12).then_some(())?;
-        // Of the same size as its inverse, so that averages go straight to what they end at.
+        // The matrix gets the size of its inverse, so that averages go straight to their limit.
         let scale = (inverse_square / square).sqrt().sqrt();
         let next = q * (0.5 * scale) + cofactors * (0.5 / (scale * determinant));
         let off = squares(&(next - q));
@@ -237,8 +237,8 @@ fn polar_by_axes(j: &DMat3) -> Option<DMat3> {
     Some(DMat3::from_cols(a, b, c) * v.transpose())
 }
 
-/// How much longer than wide a round splat becomes under a deformation of this gradient: the ratio of its two
-/// largest singular values.
+/// Anisotropy of a round splat after a deformation of this gradient: the ratio of its two largest singular
+/// values.
 pub fn anisotropy(gradient: &Mat3) -> f32 {
     if *gradient == Mat3::IDENTITY {
         return 1.0;
@@ -288,7 +288,7 @@ mod tests {
         assert_eq!(turned(TensorKind::Vector, &v.to_array()), (j * v).to_array());
         let direction = vector(&turned(TensorKind::Direction, &v.to_array()));
         assert!((direction - (j * v) * (v.length() / (j * v).length())).length() < 1e-14);
-        // A normal stays across what was across it.
+        // A normal stays at right angles to the vectors that it was at right angles to.
         let normal = vector(&turned(TensorKind::Normal, &v.to_array()));
         let (s, t) = v.normalize_or(DVec3::X).any_orthonormal_pair();
         assert!(normal.dot(j * s).abs() < 1e-14 && normal.dot(j * t).abs() < 1e-14);
@@ -306,7 +306,7 @@ mod tests {
         let expected = of(&points.map(|p| j * p));
         let found = turned(TensorKind::Covariance, &of(&points));
         assert!((0..6).all(|i| (found[i] - expected[i]).abs() < 1e-13));
-        // What means nothing stays.
+        // A vector with a NaN, and a quaternion of zero, stay as they are.
         assert!(turned(TensorKind::Vector, &[1.0, f64::NAN, 2.0])[1].is_nan());
         assert_eq!(turned(TensorKind::QuaternionWxyz, &[0.0; 4]), [0.0; 4]);
     }

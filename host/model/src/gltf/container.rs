@@ -1,6 +1,6 @@
 //! A file's bytes as GLB has them: a header, a chunk of JSON, and one of binary data.
 //!
-//! A `.gltf`, whose buffers are files beside it or text within it, is made to look like that without being
+//! A `.gltf`, whose buffers are files beside it or text within it, is read as if it were a GLB without being
 //! copied: a header and JSON in memory, with the buffers one behind the other as binary data.
 
 use std::ops::Range;
@@ -19,7 +19,7 @@ use crate::text::lines::without_mark;
 use crate::text::{CUT_OFF, DAMAGED};
 use crate::{Error, Result};
 
-/// What a GLB file begins with.
+/// First bytes of a GLB file.
 pub(super) const MAGIC: &[u8] = b"glTF";
 
 /// Longest JSON: it is held while a file is opened, and when one has been written.
@@ -39,7 +39,7 @@ const AS_GLB: &str = "export the model as GLB, which has everything in one file"
 pub(super) struct Container {
     /// The file that was opened.
     pub(super) source: SourceFile,
-    /// What its bytes are made of, if not of the file as it is.
+    /// Segments that make up the container's bytes; none if these are the file's as they are.
     parts: Vec<Segment>,
     len: u64,
     pub(super) json: Range<u64>,
@@ -49,7 +49,7 @@ pub(super) struct Container {
 
 #[derive(Debug)]
 struct Segment {
-    /// Where it begins in the whole.
+    /// Byte of the container at which the segment begins.
     at: u64,
     len: u64,
     bytes: SegmentBytes,
@@ -118,7 +118,8 @@ impl Container {
         Self::gather(this.source, json, bin, (after, cache))
     }
 
-    /// Where the content of the chunk at a byte of a GLB file of length `len` is, and of what kind.
+    /// Range of bytes of the content of the chunk at a byte of a GLB file of length `len`, and the chunk's
+    /// type.
     fn chunk(&self, at: u64, len: u64) -> Result<(Range<u64>, u32)> {
         let mut chunk = [0; CHUNK as usize];
         self.read_at(&mut chunk, at)?;
@@ -178,8 +179,8 @@ impl Container {
         Ok(this)
     }
 
-    /// A file whose JSON refers to buffers elsewhere, with all of them as binary data. `bin` is that of the
-    /// file itself, and `after` is where other chunks begin.
+    /// Joins a file, whose JSON refers to buffers elsewhere, with all of these as binary data. `bin` is
+    /// the binary data of the file itself, and `after` is where other chunks begin.
     fn gather(
         source: SourceFile,
         json: Vec<u8>,
@@ -254,8 +255,8 @@ impl Container {
         Ok(replaced(json, changes))
     }
 
-    /// This container with other JSON and further binary data, which begins and ends at multiples of four
-    /// bytes.
+    /// Returns this container with other JSON and further binary data, which begins and ends at multiples of
+    /// four bytes.
     pub(super) fn with_more(mut self, text: Vec<u8>, more: SourceFile) -> Result<(Self, Vec<u8>)> {
         let old = std::mem::take(&mut self.parts);
         let (bin, end) = (self.bin.clone(), if self.bin.is_empty() { self.json.end } else { self.bin.end });
@@ -279,7 +280,8 @@ impl Container {
         self.assembled(text, (parts, len), behind)
     }
 
-    /// A file of this JSON, parts of binary data that has `len` bytes, and what is behind these.
+    /// Container of this JSON, parts of binary data that have `len` bytes together, and the chunks behind
+    /// these.
     fn assembled(
         mut self,
         mut text: Vec<u8>,
@@ -317,7 +319,7 @@ impl Container {
         Ok((self, text))
     }
 
-    /// What a buffer's URI leads to.
+    /// Opens the file, or decodes the data, that a buffer's URI names.
     fn buffer(&self, index: usize, uri: &str, cache: &Cache) -> Result<SourceFile> {
         let refused = |why: &str| {
             let what = format!("buffer {index} {why}");
@@ -355,7 +357,7 @@ impl Container {
         self.len
     }
 
-    /// Whether the bytes are not those of a file as it is.
+    /// Whether the bytes are put together of segments, not those of a file as they are.
     pub(super) fn is_made(&self) -> bool {
         !self.parts.is_empty()
     }
@@ -368,7 +370,8 @@ impl Container {
         })
     }
 
-    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end.
+    /// Fills `buffer` from `offset` on; returns the number of bytes read, which is less than the buffer's
+    /// length only at the end.
     pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
         if self.parts.is_empty() {
             return self.source.read_at(buffer, offset);

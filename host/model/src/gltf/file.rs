@@ -32,7 +32,7 @@ pub(super) struct GltfModel {
     pub(super) info: ModelInfo,
 }
 
-/// A mesh, as far as its primitives have names for what they are made of.
+/// Mesh of which only the attributes' names of its primitives are read.
 #[derive(Deserialize)]
 struct OnlyPrimitives {
     #[serde(default)]
@@ -54,7 +54,7 @@ const LISTS: [&str; 7] =
 const READ: [&str; 3] = ["POSITION", "NORMAL", "COLOR_0"];
 
 impl GltfModel {
-    /// What of the document is not given as vertices and faces.
+    /// Content of the document that is not given as vertices and faces, in a few words each.
     pub(super) fn not_read(&self) -> Result<Vec<String>> {
         let mut json = Vec::new();
         self.container.read(&mut json, self.container.json.clone())?;

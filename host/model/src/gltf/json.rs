@@ -1,4 +1,4 @@
-//! What of a file's JSON says where vertices and faces are, and where they are shown.
+//! Parts of a file's JSON that say where vertices and faces are, and where these are shown.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,13 +9,13 @@ use serde::de::{IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::value::RawValue;
 
-/// Most things of a kind, as nodes or accessors: what is made of them takes memory.
+/// Most things of a kind, as nodes or accessors: a bound of the memory for them.
 const MOST: usize = 1 << 20;
 
-/// Names of extensions, or of what else is there.
+/// Names of extensions, or of other members that are there.
 pub(super) type Names = BTreeMap<String, IgnoredAny>;
 
-/// Accessors by what they are of, as `POSITION`.
+/// Accessors of a primitive by their attribute, as `POSITION`.
 pub(super) type AccessorIndices = BTreeMap<String, usize>;
 
 #[derive(Deserialize)]
@@ -64,7 +64,7 @@ pub(super) struct Accessor<'a> {
     pub(super) min: Option<&'a RawValue>,
     #[serde(borrow)]
     pub(super) max: Option<&'a RawValue>,
-    /// As text: nobody asks for that of other accessors than those that are patched.
+    /// Sparse part as text: it is parsed only for accessors that are patched.
     #[serde(borrow)]
     pub(super) sparse: Option<&'a RawValue>,
 }
@@ -168,7 +168,7 @@ pub(super) struct GltfImage {
     pub(super) buffer_view: Option<usize>,
 }
 
-/// Where a value stands in the text that it was read from.
+/// Range of bytes of a value in the text that the value was read from.
 pub(super) fn span(text: &[u8], value: &RawValue) -> Range<usize> {
     let start = value.get().as_ptr() as usize - text.as_ptr() as usize;
     start..start + value.get().len()

@@ -1,7 +1,7 @@
 //! The bytes of a file that are positions, normals and tangents, and the vertices that they belong to.
 //!
 //! The vertices are the elements of all position accessors that a node shows: each run of bytes counts once,
-//! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in
+//! however many use it, and vertices are numbered in the order of the file. Bytes that are patched lie in
 //! *regions*: rows of equal length with a position, a normal or a tangent of a vertex in each, or several of
 //! them.
 
@@ -30,7 +30,7 @@ const COMPRESSED: [&str; 3] =
 
 const INSTANCED: &str = "EXT_mesh_gpu_instancing";
 
-/// What an element of a row is.
+/// Meaning of an element of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum VectorRole {
     Position,
@@ -44,11 +44,11 @@ pub(super) struct VertexSet {
     pub(super) place: AccessorBytes,
     /// Number of the first vertex.
     pub(super) first: u64,
-    /// Where the mesh is in the world, if not just there.
+    /// Placement of the mesh in the world; none if the mesh is not transformed.
     pub(super) placement: Option<MeshPose>,
     /// The region where the positions are.
     pub(super) region: usize,
-    /// Where the normals are that belong to them: the first ones, if several primitives have others.
+    /// Normals that belong to the positions: the first ones, if several primitives have others.
     pub(super) normals: Option<AccessorBytes>,
     /// Colours, and the component type of their numbers.
     pub(super) colours: Option<(AccessorBytes, u32)>,
@@ -60,14 +60,14 @@ pub(super) struct VertexRows {
     pub(super) bytes: Range<u64>,
     pub(super) stride: u64,
     pub(super) rows: u64,
-    /// What a row has, and where in it: no two of a kind.
+    /// Elements of a row, and the byte of the row at which each begins: no two of a kind.
     pub(super) elements: Vec<(VectorRole, usize)>,
-    /// The sets whose rows these are: one, or several if they share normals or tangents.
+    /// Sets whose rows the region has: one, or several if they share normals or tangents.
     pub(super) owners: Vec<usize>,
 }
 
 impl VertexRows {
-    /// The bytes of some rows; the rest of the last row is not in it.
+    /// Range of the bytes of some rows, without the rest of the last row behind its elements.
     pub(super) fn window(&self, rows: Range<u64>) -> Range<u64> {
         let start = self.bytes.start + self.stride * rows.start;
         let end =
@@ -75,7 +75,7 @@ impl VertexRows {
         start..end
     }
 
-    /// Where in a row this is.
+    /// Byte of a row at which its element of this kind begins, if it has one.
     pub(super) fn offset(&self, kind: VectorRole) -> Option<usize> {
         self.elements.iter().find(|(of, _)| *of == kind).map(|(_, offset)| *offset)
     }
@@ -91,7 +91,7 @@ impl VertexRows {
     }
 }
 
-/// How the vertices of a primitive are joined.
+/// Topology of a primitive: the way in which its vertices make triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PrimitiveMode {
     Triangles,
@@ -101,10 +101,10 @@ pub(super) enum PrimitiveMode {
     Other,
 }
 
-/// What is drawn of a mesh at once.
+/// Primitive: a part of a mesh that is drawn at once.
 #[derive(Debug)]
 pub(super) struct DrawnPrimitive {
-    /// Number of its first triangle.
+    /// Number of the primitive's first triangle.
     pub(super) first: u64,
     pub(super) triangles: u64,
     pub(super) mode: PrimitiveMode,
@@ -118,7 +118,7 @@ pub(super) struct DrawnPrimitive {
 /// The layout of a file: its vertices, what shows them, and the bytes that are patched.
 #[derive(Debug, Default)]
 pub(super) struct GltfLayout {
-    /// In the order of the file.
+    /// Sets of vertices, in the order of the file.
     pub(super) sets: Vec<VertexSet>,
     pub(super) regions: Vec<VertexRows>,
     pub(super) drawn: Vec<DrawnPrimitive>,
@@ -126,7 +126,7 @@ pub(super) struct GltfLayout {
     pub(super) triangles: u64,
     /// Accessors that are patched, and which part of the file each is.
     pub(super) accessors: Vec<(usize, u32)>,
-    /// What else vertices have, as "float TEXCOORD_0".
+    /// Other attributes of the vertices, as "float TEXCOORD_0".
     pub(super) others: BTreeSet<String>,
     pub(super) has_targets: bool,
     pub(super) has_skins: bool,
@@ -137,35 +137,35 @@ pub(super) struct GltfLayout {
 /// A layout while it is found.
 #[derive(Default)]
 struct LayoutBuilder {
-    /// The accessors by where they are.
+    /// Positions that were found, by the place of their accessor.
     sets: BTreeMap<AccessorBytes, FoundPositions>,
-    /// Normals and tangents, and where the positions are that they belong to.
+    /// Streams of normals and tangents, with the places of the positions that they belong to.
     streams: BTreeMap<(AccessorBytes, VectorRole), BTreeSet<AccessorBytes>>,
     layout: GltfLayout,
     /// Mode, positions, indices.
     drawn: Vec<(PrimitiveMode, AccessorBytes, Option<AccessorBytes>)>,
     /// Accessors that are patched.
     accessors: BTreeMap<usize, (AccessorBytes, VectorRole)>,
-    /// What keeps its bytes: an accessor, and what it is.
+    /// Accessors whose bytes are kept, each with a description.
     kept: BTreeMap<usize, String>,
 }
 
 /// Positions that were found.
 struct FoundPositions {
     placement: Option<MeshPose>,
-    /// The node that shows them.
+    /// Node that shows the positions.
     node: usize,
     normals: Option<AccessorBytes>,
     colours: Option<(AccessorBytes, u32)>,
 }
 
-/// What vertices at known positions have: an accessor of so many numbers.
+/// Attribute of vertices at known positions: an accessor of as many numbers.
 struct VertexAttribute<'a> {
     positions: AccessorBytes,
     /// The attribute's name, as `NORMAL`.
     attribute: &'a str,
     accessor: usize,
-    /// What the primitive is called in errors.
+    /// Name of the primitive in errors.
     primitive: &'a dyn Fn() -> String,
 }
 
@@ -173,7 +173,7 @@ impl Accessors<'_> {
     /// Finds out where everything is.
     pub(super) fn layout(&self) -> Result<GltfLayout> {
         let document = self.document;
-        // First, as what is compressed looks damaged otherwise.
+        // Compression is checked first, as compressed content looks damaged otherwise.
         self.check_uncompressed()?;
         for index in 0..document.accessors.len() {
             self.place(index)?;
@@ -268,7 +268,7 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Adds an attribute that stays as it is.
+    /// Adds an attribute that is not read, and keeps its bytes.
     fn add_other(&self, builder: &mut LayoutBuilder, of: &VertexAttribute<'_>) -> Result<()> {
         let VertexAttribute { positions, attribute, accessor: index, primitive } = *of;
         let accessor = self.accessor(index)?;
@@ -334,7 +334,7 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Where the indices of a primitive are.
+    /// Place of the indices of a primitive.
     fn indices(&self, index: usize) -> Result<AccessorBytes> {
         let accessor = self.accessor(index)?;
         let place = self.place(index)?;
@@ -353,7 +353,7 @@ impl Accessors<'_> {
         }
     }
 
-    /// Notes what has to keep its bytes beside what vertices have.
+    /// Notes all accessors that have to keep their bytes, beside those of vertices.
     fn keep_others(&self, builder: &mut LayoutBuilder) {
         let document = self.document;
         for (index, skin) in document.skins.iter().enumerate() {
@@ -370,7 +370,7 @@ impl Accessors<'_> {
 
     fn finish(&self, builder: LayoutBuilder) -> Result<GltfLayout> {
         let LayoutBuilder { sets, streams, mut layout, drawn, accessors, kept } = builder;
-        // Ordered by where they begin.
+        // Numbers of the sets in the order of the bytes at which they begin.
         let numbers: BTreeMap<AccessorBytes, usize> =
             sets.keys().enumerate().map(|(number, place)| (*place, number)).collect();
         let number = |place: &AccessorBytes| numbers.get(place).copied().unwrap_or_default();
@@ -414,7 +414,7 @@ impl Accessors<'_> {
         Ok(layout)
     }
 
-    /// Gathers what lies between each other in regions; `all` is sorted.
+    /// Gathers streams that are interleaved in regions; `all` is sorted.
     fn regions(&self, all: &[ElementRun], layout: &mut GltfLayout) -> Result<()> {
         let mut rest = all;
         while let Some(((first, _, _), _)) = rest.split_first() {
@@ -428,14 +428,14 @@ impl Accessors<'_> {
             rest = others;
             let elements = self.row(these)?;
             let AccessorBytes { start, stride, count, .. } = *first;
-            // Of positions, there is one owner.
+            // Positions have a single owner.
             let owners = these[0].2.clone();
             layout.regions.push(VertexRows { bytes: start..end, stride, rows: count, elements, owners });
         }
         Ok(())
     }
 
-    /// What a row has of streams that lie between each other.
+    /// Elements of a row of streams that are interleaved.
     fn row(&self, these: &[ElementRun]) -> Result<Vec<(VectorRole, usize)>> {
         let (first, _, owners) = &these[0];
         let mut elements: Vec<(VectorRole, usize)> = Vec::new();
@@ -466,9 +466,9 @@ impl Accessors<'_> {
         Ok(elements)
     }
 
-    /// An error where what changes has bytes in common with what does not.
+    /// Error where bytes that change belong to an accessor that does not, too.
     fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[ElementRun]) -> Result<()> {
-        // Where each stream ends, or one before it.
+        // Largest end of all streams up to each one, in the order of their starts.
         let mut ends = Vec::with_capacity(all.len());
         let mut furthest = 0;
         for (place, _, _) in all {
@@ -507,5 +507,5 @@ impl Accessors<'_> {
     }
 }
 
-/// A run of elements, what they are, and whose.
+/// Run of elements, their role, and the sets that own them.
 type ElementRun = (AccessorBytes, VectorRole, Vec<usize>);

@@ -1,5 +1,6 @@
-//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. It stands
-//! before them in the file: they are written in the end, and the JSON has room for them until then.
+//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. The JSON is
+//! before the vertices in the file: the limits are written in the end, and the JSON has room for them until
+//! then.
 
 use std::ops::Range;
 
@@ -18,16 +19,16 @@ const LONGEST: usize = 16;
 /// A number in the JSON that is the least or the greatest of a column of others.
 #[derive(Debug)]
 pub(super) struct Limit {
-    /// Where in the JSON it stands.
+    /// Range of bytes of the limit in the JSON.
     text: Range<u32>,
-    /// The part of the file whose limits these are, and its column.
+    /// Part of the file whose limit this is, and the column of the part.
     part: u32,
     column: u8,
     is_max: bool,
     value: f32,
 }
 
-/// All of them, in the order of the JSON.
+/// Limits of all accessors, in the order of the JSON.
 #[derive(Debug, Default)]
 pub(super) struct AccessorLimits {
     all: Vec<Limit>,
@@ -69,19 +70,19 @@ impl AccessorLimits {
         Ok(Self { all, parts })
     }
 
-    /// Whether there are some of a part.
+    /// Whether there are limits of a part.
     pub(super) fn has(&self, part: u32) -> bool {
         self.parts.binary_search(&part).is_ok()
     }
 
-    /// Bytes that the JSON may need more, whatever the numbers become.
+    /// Number of bytes by which the JSON may grow, whatever its new numbers are.
     pub(super) fn room(&self) -> usize {
         let missing = |limit: &Limit| LONGEST.saturating_sub(limit.text.len());
         self.all.iter().map(missing).sum::<usize>().next_multiple_of(4)
     }
 
-    /// The JSON with the numbers of parts in which something moved, and where the first one of them stands;
-    /// `None` where all are as they were.
+    /// JSON with new numbers for the parts in which something moved, and the byte at which the first one of
+    /// these numbers stands; `None` where all are as they were.
     pub(super) fn corrected(&self, json: &[u8], summary: &Summary) -> Option<(usize, Vec<u8>)> {
         let (mut text, mut copied, mut first) = (Vec::new(), 0, None);
         for limit in &self.all {
@@ -110,7 +111,7 @@ fn numbers(array: &RawValue) -> Option<Vec<(&RawValue, f32)>> {
     numbers.into_iter().map(|number| Some((number, with_value(number)?))).collect()
 }
 
-/// As few digits as give the float back, as JSON has them.
+/// Text of a float as JSON has it, with as few digits as give the float back.
 fn shortest(value: f32) -> String {
     let size = value.abs();
     // Zero has no sign that would matter.

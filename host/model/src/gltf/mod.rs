@@ -41,7 +41,7 @@ use crate::{
     VertexReader, pipeline,
 };
 
-/// Whether a file that begins so is GLB.
+/// Whether a file with these first bytes is GLB.
 pub(super) fn is_glb(start: &[u8]) -> bool {
     start.starts_with(container::MAGIC)
 }
@@ -78,7 +78,7 @@ impl Model for GltfModel {
     }
 
     fn extensions(&self) -> &'static [&'static str] {
-        // What is written is GLB.
+        // Files that are written are GLB, whatever the extension of the source.
         &["glb"]
     }
 

@@ -1,4 +1,4 @@
-//! Where nodes are in the world.
+//! Transforms of nodes to the world.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 
@@ -10,7 +10,7 @@ use crate::{Error, Result};
 /// A determinant this small, beside the lengths of the columns, is that of no map that can be undone.
 const SINGULAR: f64 = 1e-9;
 
-/// From a mesh' coordinates to the world's, and back.
+/// Transform from a mesh' coordinates to the world's, and back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct MeshPose {
     matrix: DMat3,
@@ -39,7 +39,7 @@ impl MeshPose {
         Ok(Some(Self { matrix, translation, inverse }))
     }
 
-    /// Whether it turns left into right.
+    /// Whether the pose turns left into right.
     pub(super) fn is_mirrored(&self) -> bool {
         self.matrix.determinant() < 0.0
     }
@@ -49,7 +49,7 @@ impl MeshPose {
         self.matrix * local.as_dvec3() + self.translation
     }
 
-    /// Where something goes that is moved so in the world.
+    /// Position in the mesh's own coordinates of a point that is moved by a vector of the world.
     #[inline]
     pub(super) fn moved(&self, local: Vec3, by: DVec3) -> DVec3 {
         local.as_dvec3() + self.inverse * by
@@ -80,7 +80,7 @@ impl MeshPose {
     }
 }
 
-/// A direction with the length of another one, which it is where it has none.
+/// Direction with the length of another vector; that vector itself where the direction has none.
 #[inline]
 fn with_length(direction: DVec3, other: Vec3) -> Vec3 {
     direction.try_normalize().map_or(other, |d| (d * other.as_dvec3().length()).as_vec3())
@@ -101,7 +101,7 @@ fn own(node: &GltfNode) -> DMat4 {
 }
 
 impl Accessors<'_> {
-    /// The nodes that show a mesh, and where each is. What is skinned is where its joints take it, and stays
+    /// Nodes that show a mesh, each with its placement. A skinned mesh is where its joints take it, and stays
     /// in its own coordinates.
     pub(super) fn placements(&self) -> Result<Vec<(usize, Option<MeshPose>)>> {
         let worlds = self.worlds()?;
@@ -123,8 +123,8 @@ impl Accessors<'_> {
         nodes.filter(|(index, node)| shown[*index] && node.mesh.is_some()).map(of_node).collect()
     }
 
-    /// Whether each node is in a scene, where there are any with nodes: else all are, as in a library of
-    /// meshes. The nodes are trees.
+    /// Returns for each node whether it is shown: the nodes of the scenes, where any scene has nodes; else
+    /// all, as in a library of meshes. The nodes are trees.
     fn shown(&self) -> Result<Vec<bool>> {
         let (nodes, scenes) = (&self.document.nodes, &self.document.scenes);
         let mut next: Vec<usize> = scenes.iter().flat_map(|scene| &scene.nodes).copied().collect();
@@ -213,7 +213,7 @@ mod tests {
             prop_assert!((turned.length() - p.length()).abs() <= 1e-5 * p.length());
             prop_assert!((placement.normal_back(turned, p) - p).length() <= 1e-4 * p.length());
             prop_assert!((placement.tangent_back(placement.tangent(p), p) - p).length() <= 1e-4 * p.length());
-            // What is perpendicular stays so.
+            // A vector that is perpendicular to the normal stays so.
             let along = p.any_orthogonal_vector();
             let cosine = placement.tangent(along).dot(turned) / (along.length() * p.length()).max(1e-20);
             prop_assert!(cosine.abs() < 1e-3);

@@ -1,4 +1,4 @@
-//! Where accessors lie in the file.
+//! Places of the accessors' bytes in the file.
 
 use std::ops::Range;
 
@@ -7,10 +7,10 @@ use super::json::{Accessor, GltfDocument};
 use crate::text::DAMAGED;
 use crate::{Error, Result, Type};
 
-/// What makes a plain file of one with other things in it.
+/// Advice on writing a file plainly that has other things in it.
 pub(super) const PLAIN: &str = "have gltfpack write it plainly: gltfpack -noq -i IN.glb -o OUT.glb";
 
-/// What to do about an accessor whose numbers are compressed.
+/// Advice about an accessor whose numbers are compressed.
 pub(super) const UNCOMPRESSED: &str =
     "have gltf-transform write it plainly: gltf-transform dequantize IN.glb OUT.glb";
 
@@ -20,22 +20,22 @@ const LONGEST_STRIDE: u64 = 252;
 /// The bytes of an accessor: so many elements of equal size, at equal distances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct AccessorBytes {
-    /// Where in the file the first one begins.
+    /// Byte of the file at which the first element begins.
     pub(super) start: u64,
     pub(super) count: u64,
-    /// From one element to the next.
+    /// Bytes from the start of one element to that of the next.
     pub(super) stride: u64,
     /// Bytes of an element.
     pub(super) size: u64,
 }
 
 impl AccessorBytes {
-    /// Where the last element ends.
+    /// Byte of the file behind the last element.
     pub(super) fn end(&self) -> u64 {
         if self.count == 0 { self.start } else { self.start + self.stride * (self.count - 1) + self.size }
     }
 
-    /// The bytes of some elements and what is between them.
+    /// Range of bytes of some elements, with the bytes between them.
     pub(super) fn bytes(&self, elements: Range<u64>) -> Range<u64> {
         if elements.is_empty() {
             return self.start..self.start;
@@ -44,7 +44,7 @@ impl AccessorBytes {
         start..start + self.stride * (elements.end - elements.start - 1) + self.size
     }
 
-    /// Whether a byte is of both.
+    /// Whether some byte belongs to both accessors.
     pub(super) fn touches(&self, other: &Self) -> bool {
         if self.count == 0 || other.count == 0 || self.end() <= other.start || other.end() <= self.start {
             return false;
@@ -69,7 +69,7 @@ pub(super) fn number_type(component: u32) -> Option<Type> {
     })
 }
 
-/// How many numbers an element has.
+/// Count of the numbers in an element.
 pub(super) fn numbers(shape: &str) -> Option<u64> {
     Some(match shape {
         "SCALAR" => 1,
@@ -130,7 +130,7 @@ impl Accessors<'_> {
         Ok(bin.start + view.byte_offset..bin.start + end)
     }
 
-    /// Where an accessor lies; `None` for one without bytes of its own.
+    /// Place of an accessor's bytes; `None` for an accessor without bytes of its own.
     pub(super) fn place(&self, index: usize) -> Result<Option<AccessorBytes>> {
         let accessor = self.accessor(index)?;
         let size = number_type(accessor.component_type).zip(numbers(&accessor.shape));
@@ -181,7 +181,8 @@ impl Accessors<'_> {
         }))
     }
 
-    /// Where an accessor lies whose numbers are to be changed: floats, and all of them there.
+    /// Place of the bytes of an accessor whose numbers are to be changed, which have to be floats with all
+    /// their bytes in the file.
     pub(super) fn place_of(&self, index: usize, what: &str, shape: &str) -> Result<AccessorBytes> {
         let accessor = self.accessor(index)?;
         let refused = |why: &str, hint: &str| {

@@ -13,7 +13,7 @@ use crate::{CHUNK_VERTICES, Result, Type, VertexChunk, VertexReader};
 /// Most bytes that are read for a chunk at once, unless a vertex takes more.
 pub(super) const CHUNK_BYTES: u64 = 2 << 20;
 
-/// So many floats at some place.
+/// Reads so many floats at a byte.
 #[inline(always)]
 pub(super) fn floats<const N: usize>(bytes: &[u8], at: usize) -> [f32; N] {
     let mut floats = [0.0; N];
@@ -25,7 +25,8 @@ pub(super) fn floats<const N: usize>(bytes: &[u8], at: usize) -> [f32; N] {
     floats
 }
 
-/// Where each row begins that has all of an element: the last one may be cut off behind it.
+/// Bytes at which the element at `offset` begins in each row that has all of it: the last row may be cut off
+/// behind that element.
 pub(super) fn rows(stride: usize, bytes: usize, offset: usize, size: usize) -> impl Iterator<Item = usize> {
     (0..bytes).step_by(stride.max(1)).map(move |at| at + offset).take_while(move |at| at + size <= bytes)
 }
@@ -43,7 +44,7 @@ impl GltfModel {
         }
     }
 
-    /// Adds normals that are so far apart, the first of them at `offset`.
+    /// Adds normals that are so many bytes apart, the first of them at `offset`.
     pub(super) fn add_normals(
         &self,
         set: &VertexSet,
@@ -111,11 +112,11 @@ impl GltfModel {
     }
 }
 
-/// From linear light, as glTF has it, to the curve of sRGB, as all other formats have it: numbers of the same
-/// type, whole where they were.
+/// Conversion from linear light, as glTF has it, to the curve of sRGB, as all other formats have it: to
+/// numbers of the same type, whole where they were.
 #[derive(Clone, Copy)]
 enum SrgbCurve {
-    /// By a table.
+    /// Conversion of bytes by a table.
     Bytes(&'static [u8; 256]),
     Whole(f64),
     Fractions,

@@ -20,7 +20,8 @@ use crate::{CHUNK_VERTICES, Edited, Error, Normals, Progress, Result, SMALL_CHUN
 /// A model that is rewritten.
 pub(super) struct GltfRewriting<'a> {
     pub(super) model: &'a GltfModel,
-    /// Normals and tangents that keep their bytes as meshes share them that turn apart, of all versions.
+    /// Number of normals and tangents, in all versions, that keep their bytes since they are shared by meshes
+    /// that turn differently.
     kept: AtomicU64,
 }
 
@@ -29,7 +30,7 @@ impl<'a> GltfRewriting<'a> {
         Self { model, kept: AtomicU64::new(0) }
     }
 
-    /// Says what of the file does not go with the surface, or is not where it was.
+    /// Tells the user of content of the file that does not follow the surface, or is written elsewhere.
     pub(super) fn announce(&self, progress: &dyn Progress) {
         let GltfModel { container, layout, is_gathered, had_sparse, .. } = self.model;
         let path = container.source.path().display();
@@ -49,7 +50,7 @@ impl<'a> GltfRewriting<'a> {
         }
     }
 
-    /// Says what was kept.
+    /// Notes the number of vectors that were kept.
     pub(super) fn tell(&self, progress: &dyn Progress) {
         let kept = self.kept.load(Ordering::Relaxed);
         if kept > 0 {
@@ -189,11 +190,11 @@ struct ChunkPatch<'a> {
     edited: &'a Edited,
 }
 
-/// What became of normals or tangents.
+/// Result of turning normals or tangents.
 #[derive(Default)]
 struct TurnedVectors {
     has_moved: bool,
-    /// How many are kept as those who share them disagree.
+    /// Number of vectors that are kept, as the placements that share them disagree.
     kept: u64,
 }
 
@@ -233,7 +234,7 @@ impl ChunkPatch<'_> {
         Ok(has_moved)
     }
 
-    /// The box of all that is here of a part, as it is now.
+    /// Box of a part's numbers that are in this chunk, as they are now.
     fn reach(&self, part: u32, kind: VectorRole, offset: usize) -> PartBox {
         let mut found = PartBox::empty(part);
         let mut include = |element: Vec4| {
@@ -322,7 +323,7 @@ fn put(bytes: &mut [u8], at: usize, floats: &[f32]) {
 }
 
 impl GltfModel {
-    /// Where the header and the JSON end, with the header of the binary data.
+    /// Byte at which the header and the JSON end, with the header of the binary data.
     fn head(&self) -> u64 {
         self.container.json.end.max(self.container.bin.start)
     }
@@ -331,10 +332,10 @@ impl GltfModel {
 /// The file in its order: header and JSON, regions, and what is between them.
 struct GltfPieces<'a> {
     model: &'a GltfModel,
-    /// Whether normals and tangents that stand elsewhere are turned.
+    /// Whether normals and tangents that stand apart from the positions are turned.
     with_normals: bool,
     at: u64,
-    /// What comes next: a region, and a row of it.
+    /// Region that comes next, and the row of it.
     region: usize,
     row: u64,
 }

@@ -1,5 +1,5 @@
 //! Sparse accessors of vertices and indices, made plain: all their elements, one after the other, as further
-//! binary data, and JSON that says so. What they were made of stays where it is.
+//! binary data, and JSON that refers to these. The sparse data stay where they are.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use crate::size::human_size;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
-/// What of a primitive is patched.
+/// Attributes of a primitive that are patched.
 const PATCHED: [&str; 3] = ["POSITION", "NORMAL", "TANGENT"];
 
 /// The lists of the JSON that change, as text.
@@ -30,7 +30,8 @@ struct Changed<'a> {
     accessors: Vec<&'a RawValue>,
 }
 
-/// The file with no such accessor, its JSON, and whether it had any: otherwise it is the same.
+/// Returns the file with no sparse accessor, its JSON, and whether it had any: otherwise the file is the
+/// same.
 pub(super) fn made_plain(
     container: Container,
     json: Vec<u8>,
@@ -67,7 +68,8 @@ pub(super) fn made_plain(
         meanwhile: 0,
     };
     let plain = if container.is_made() {
-        // What buffers elsewhere hold, a cache does not know.
+        // A cache is known by the hash of the file alone, which does not tell the content of buffers
+        // elsewhere.
         let scratch = making.cache.scratch()?;
         fill(&scratch)?;
         SourceFile::of_scratch(scratch, container.source.path(), bytes)
@@ -80,7 +82,7 @@ pub(super) fn made_plain(
     Ok((container, json, true))
 }
 
-/// The JSON where these accessors have views of their own, each from some place on of further data.
+/// JSON in which these accessors have views of their own, each from some byte of further data on.
 fn with_views(
     container: &Container,
     json: &[u8],
@@ -113,7 +115,7 @@ fn with_views(
 }
 
 impl Accessors<'_> {
-    /// The accessors that vertices and corners have, and that are sparse, in their order.
+    /// Sparse accessors of vertices and corners, in their order.
     fn sparse(&self) -> Vec<usize> {
         let mut all = Vec::new();
         for primitive in self.document.meshes.iter().flat_map(|mesh| &mesh.primitives) {
@@ -200,7 +202,8 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Where so many elements of a size begin, which a sparse accessor has.
+    /// Byte at which the elements of a part of a sparse accessor begin, of which there are `count`, of `size`
+    /// bytes each.
     fn run(&self, index: usize, part: &SparsePart, (count, size): (u64, u64)) -> Result<u64> {
         let bytes = self.view(part.buffer_view)?;
         let start = bytes.start.checked_add(part.byte_offset);

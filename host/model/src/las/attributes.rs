@@ -8,7 +8,7 @@ use super::remarks::{
 };
 use crate::{Attribute, Type};
 
-/// Where a number stands in a record, and how.
+/// Place and type of a number in a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct NumberField {
     at: usize,
@@ -16,7 +16,7 @@ pub(super) struct NumberField {
     limits: Option<LimitFields>,
 }
 
-/// The fields of extra bytes' descriptions that say how far a number reaches as it is stored, if they do.
+/// Fields of extra bytes' descriptions for the least and the largest stored number, if they have these.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LimitFields {
     pub least: Option<usize>,
@@ -68,8 +68,8 @@ impl ExtraBytesType {
         }
     }
 
-    /// The bytes of a number, which is rounded to a whole one where the type has no others, and how many they
-    /// are; nothing where it does not fit.
+    /// Bytes of a number, which is rounded to a whole one where the type has no others, and their count; none
+    /// where the number does not fit.
     fn bytes(self, value: f64) -> Option<([u8; 8], usize)> {
         let mut bytes = [0; 8];
         macro_rules! put {
@@ -117,16 +117,16 @@ impl ExtraBytesType {
     }
 }
 
-/// The attributes of a file, and where they are.
+/// Attributes of a file, and their places in a record.
 #[derive(Debug, Clone, Default)]
 pub(super) struct AttributeFields {
     pub attributes: Vec<Attribute>,
     places: Vec<NumberField>,
-    /// Extra bytes that are among them.
+    /// Number of extra bytes among the attributes.
     extra_bytes: usize,
     /// Bytes of a record before extra ones.
     pub standard_bytes: usize,
-    /// What is said of extra bytes beside their names and types.
+    /// Remarks of the extra bytes' descriptions beside names and types.
     pub remarks: Vec<ExtraBytesRemark>,
 }
 
@@ -256,7 +256,7 @@ impl AttributeFields {
         }
     }
 
-    /// Fills each list with the numbers of one attribute, those of the first ones.
+    /// Fills each list with the numbers of one attribute, in the order of the first attributes.
     pub fn decode(&self, records: &[u8], record: usize, to: &mut [Vec<f64>]) {
         for (values, place) in to.iter_mut().zip(&self.places) {
             values.clear();
@@ -270,7 +270,8 @@ impl AttributeFields {
         self.places.get(attribute).map_or(0..0, |place| place.at..place.at + place.how.size())
     }
 
-    /// Whether an attribute can be written: a float, a double, or a number of extra bytes that is scaled.
+    /// Whether an attribute's numbers can be written: a float, a double, or a number of extra bytes that is
+    /// scaled.
     pub fn is_writable(&self, attribute: usize) -> bool {
         self.places
             .get(attribute)
@@ -291,7 +292,7 @@ impl AttributeFields {
         }
     }
 
-    /// Puts a number into a record, unless it does not fit its type; whether the record is another one now.
+    /// Puts a number into a record, unless it does not fit its type; returns whether the record has changed.
     pub fn put(&self, attribute: usize, record: &mut [u8], value: f64) -> bool {
         let NumberField { at, how, .. } = self.places[attribute];
         let (kind, value) = match how {
@@ -306,7 +307,8 @@ impl AttributeFields {
         changed
     }
 
-    /// Where it is told how far an attribute reaches as it is stored, among the descriptions of extra bytes.
+    /// Places, among the descriptions of extra bytes, of the least and the largest stored number of an
+    /// attribute, if there is either.
     pub fn limits(&self, attribute: usize) -> Option<LimitFields> {
         let limits = self.places.get(attribute)?.limits?;
         (limits.least.is_some() || limits.most.is_some()).then_some(limits)
@@ -350,7 +352,7 @@ impl AttributeFields {
     }
 }
 
-/// What the description of extra bytes says of such numbers beside name and type, if anything.
+/// Remark that the description of extra bytes makes on them beside name and type.
 fn remark(name: &str, one: &[u8], how: How) -> Option<ExtraBytesRemark> {
     let stored = |number: ExtraBytesType, bytes: &[u8]| match number {
         ExtraBytesType::Of(Type::F32 | Type::F64) => plain(Type::F64, bytes),
@@ -378,7 +380,7 @@ fn remark(name: &str, one: &[u8], how: How) -> Option<ExtraBytesRemark> {
 }
 
 impl NumberField {
-    /// Whether it is a whole number of 64 bits, scaled or not.
+    /// Whether the number is a whole one of 64 bits, scaled or not.
     fn is_wide(&self) -> bool {
         matches!(
             self.how,

@@ -1,4 +1,5 @@
-//! Where the blocks of compressed points are, and the table in the file that says so (LASzip's chunk table).
+//! Blocks of compressed points: their places, and the table in the file that lists them (LASzip's chunk
+//! table).
 
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -12,7 +13,7 @@ use crate::model::CompressedBlock;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
-/// Most vertices of a block: what a thread holds is bounded by it.
+/// Most vertices of a block: a bound of what a thread holds.
 pub(super) const MOST_VERTICES: u64 = 1 << 18;
 
 /// Bytes of the table's place, before the first block.
@@ -26,11 +27,12 @@ const TOO_LARGE: &str = "write it in blocks of the usual size first, as `laszip`
 /// Memory: 16 bytes for each.
 #[derive(Debug)]
 pub(super) struct LasBlocks {
-    /// The first vertex of each block, and where it begins; in the end, where the last one ends.
+    /// First vertex of each block, and the byte at which the block begins; in the end, the byte at which the
+    /// last one ends.
     starts: Vec<(u64, u64)>,
-    /// Where the table is, if the file has one.
+    /// Range of bytes of the table, if the file has one.
     pub table: Option<Range<u64>>,
-    /// Whether the file says at its end where the table is.
+    /// Whether the last bytes of the file are the place of the table.
     pub is_told_at_end: bool,
     is_variable: bool,
 }
@@ -39,7 +41,7 @@ impl LasBlocks {
     /// Memory: besides, the table.
     pub fn read(source: &SourceFile, header: &LasHeader, laszip: &Laszip) -> Result<Self> {
         let is_variable = laszip.blocks == BlockLengths::Variable;
-        // Where the points end at the latest.
+        // Byte at which the points end at the latest.
         let end = header.evlrs.map_or(source.len(), |(start, _)| start);
         let mut this = Self { starts: Vec::new(), table: None, is_told_at_end: false, is_variable };
         if laszip.blocks == BlockLengths::One {
@@ -112,7 +114,7 @@ impl LasBlocks {
             let left = points - vertex;
             let vertices = match laszip.blocks {
                 BlockLengths::Fixed(size) => u64::from(size).min(left),
-                // The library gives what is negative a sign.
+                // The library takes counts beyond its signed type for negative numbers.
                 _ => u64::from(entry.point_count as u32),
             };
             if vertices > left {
@@ -128,14 +130,14 @@ impl LasBlocks {
         if vertex < points {
             return Err(wrong(format!("its blocks have {vertex} of the {points} points of the file")));
         }
-        // How long it is tells whoever writes it anew alone, as what follows may be anything.
+        // The length of the table follows only from encoding it anew, as the bytes behind it may be anything.
         let again = table_of(table.as_ref(), self.is_variable).map_err(|e| wrong(e.to_string()))?;
         self.table = Some(self.extent(source, header, at, &again)?);
         Ok(())
     }
 
-    /// Where the table is that begins at a byte and is written anew as `again`: where other bytes are there,
-    /// up to what is behind it.
+    /// Range of bytes of the table that begins at a byte and is encoded anew as `again`; where the file has
+    /// other bytes there, the range goes up to the next thing in the file.
     fn extent(&self, source: &SourceFile, header: &LasHeader, at: u64, again: &[u8]) -> Result<Range<u64>> {
         let mut there = Vec::new();
         source.append_at(&mut there, at, again.len())?;
@@ -207,7 +209,7 @@ impl LasBlocks {
         self.starts.len() - 1
     }
 
-    /// How many vertices all blocks have.
+    /// Number of vertices of all blocks.
     pub fn vertices(&self) -> u64 {
         self.starts[self.len()].0
     }
@@ -234,7 +236,7 @@ impl LasBlocks {
         largest.max((CHUNK_VERTICES as u64).min(self.vertices())).max(1)
     }
 
-    /// The first vertex of a block, and where it begins.
+    /// First vertex of a block, and the byte at which the block begins.
     pub fn start(&self, number: usize) -> (u64, u64) {
         self.starts[number]
     }
@@ -278,7 +280,7 @@ pub(super) fn table_of(entries: &[ChunkTableEntry], is_variable: bool) -> io::Re
 /// The file from some byte on, as a stream.
 struct ByteStream<'a> {
     source: &'a SourceFile,
-    /// What was read of the file before byte `at`, from `used` on not handed out yet.
+    /// Bytes of the file before byte `at` that were read; from `used` on they are not handed out yet.
     buffer: Vec<u8>,
     used: usize,
     at: u64,

@@ -24,19 +24,20 @@ pub struct LasModel {
     pub(super) header: LasHeader,
     pub(super) records: KeptVlrs,
     pub(super) places: AttributeFields,
-    /// What of the attributes turns with the surface.
+    /// Attributes that turn with the surface.
     pub(super) following: Following,
-    /// Where the points are compressed.
+    /// Compression and blocks of the points, if they are compressed.
     pub(super) compressed: Option<(Laszip, LasBlocks)>,
     pub(super) info: ModelInfo,
-    /// The number of steps by which the offset of what is written differs.
+    /// Number of steps by which the offset in the new file differs.
     pub(super) shift: [i64; 3],
-    /// What was found in compressed points, as long as they are [read again](crate::Model::keep_positions).
+    /// Positions and colours of compressed points that were read, as long as these points are [read
+    /// again](crate::Model::keep_positions).
     pub(super) kept: Mutex<Option<Arc<KeptFields>>>,
 }
 
 impl LasModel {
-    /// What the file `source` is. One that is cut off is noticed here.
+    /// Opens the file `source`. A file that is cut off is noticed here.
     ///
     /// # Errors
     /// The file cannot be read, is not LAS of a known version, is cut off, or has blocks of compressed points
@@ -83,7 +84,7 @@ impl LasModel {
         })
     }
 
-    /// How positions are stored in what is written.
+    /// Scale and offset of the positions in the file that is written.
     pub(super) fn written(&self) -> &ScaledIntegers {
         self.info.written.as_ref().unwrap_or(&self.header.integers)
     }
@@ -105,7 +106,7 @@ impl LasModel {
     }
 }
 
-/// How the points are compressed, and where.
+/// Compression of the points, and their blocks; none if they are not compressed.
 fn compression(
     source: &SourceFile,
     header: &LasHeader,

@@ -30,15 +30,15 @@ const MOST_LIGHT: f64 = 65535.0;
 /// Most bytes of a VLR's content.
 const LONGEST: usize = u16::MAX as usize;
 
-/// The user whose VLR says how points are compressed, and its number.
+/// User and number of the VLR that describes the compression of the points.
 pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
 /// The place that a number goes to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum FieldTarget {
-    /// A number of its own.
+    /// A number with bytes of its own.
     Number(Type),
-    /// So many bits of a byte.
+    /// Some bits of a byte, from the bit `shift` on.
     Bits { shift: u8, bits: u8 },
     /// A number of extra bytes that is stored in this type: less the second number, divided by the first.
     Scaled { kind: Type, scale: f64, offset: f64 },
@@ -50,11 +50,11 @@ enum FieldTarget {
 #[derive(Debug, Clone, PartialEq)]
 struct WrittenAttribute {
     name: String,
-    /// The attribute's place among those of the model.
+    /// Place of the attribute among those of the model.
     from: usize,
     at: usize,
     place: FieldTarget,
-    /// Numbers are rounded, and end at those that there are.
+    /// Whether numbers are rounded, and clamped to the range of their type.
     rounds: bool,
 }
 
@@ -65,7 +65,7 @@ pub(crate) struct LasForm {
     vertices: u64,
     record: usize,
     fields: Vec<WrittenAttribute>,
-    /// Where the number of the return is among the fields.
+    /// Place of the return number among the fields.
     returns: Option<usize>,
     integers: ScaledIntegers,
     /// Descriptions of extra bytes.
@@ -74,14 +74,14 @@ pub(crate) struct LasForm {
     wkt: Vec<u8>,
     /// Whether GPS times are adjusted standard ones.
     has_adjusted_time: bool,
-    /// How points are compressed, and the VLR that says so.
+    /// Compression of the points, and the VLR that describes it.
     laszip: Option<(Laszip, Vec<u8>)>,
-    /// Whether vertices without a position are left out, and how many were.
+    /// Whether vertices without a position are left out, and the number of those that were.
     leaves_out: bool,
     left_out: AtomicU64,
 }
 
-/// Where a standard attribute goes in a record, in point formats below 6 and from there on.
+/// Byte and type of a standard attribute in a record, in point formats below 6 and from there on.
 fn standard(name: &str, format: u8) -> Option<(usize, FieldTarget)> {
     let (bits, number) = (|shift, bits| FieldTarget::Bits { shift, bits }, FieldTarget::Number);
     let is_old = format < 6;
@@ -134,8 +134,8 @@ fn range(place: FieldTarget) -> (f64, f64) {
     }
 }
 
-/// Whether all numbers of a type are told by what they become. Whether flags and the like are as small as
-/// they have to be is seen when they are written.
+/// Whether a place keeps all numbers of a type apart. Flags and the like that are wider in the model than in
+/// the record are checked when they are written.
 fn fits(kind: Type, place: FieldTarget) -> bool {
     match place {
         FieldTarget::Number(Type::F64) => true,
@@ -150,22 +150,23 @@ fn fits(kind: Type, place: FieldTarget) -> bool {
     }
 }
 
-/// What the numbers of an attribute are, all over the model.
+/// Properties of the numbers of an attribute, all over the model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct FoundNumbers {
     least: f64,
     most: f64,
     are_whole: bool,
-    /// Whether all are such as they are [said](ExtraBytesRemark::stored) to be stored.
+    /// Whether all numbers come back exactly from the type in which they are [said](ExtraBytesRemark::stored)
+    /// to be stored.
     are_stored: bool,
 }
 
 impl FoundNumbers {
-    /// Before any were found.
+    /// Properties before any numbers were found.
     const NONE: Self =
         Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true, are_stored: true };
 
-    /// Takes numbers in, of which something is said; what is none is not whole.
+    /// Includes numbers, on which there may be a remark; NaN and infinite numbers are not whole.
     fn take(&mut self, numbers: &[f64], remark: Option<&ExtraBytesRemark>) {
         if let Some((remark, kind)) = remark.and_then(|remark| Some((remark, remark.stored?))) {
             let (least, most) = range(FieldTarget::Number(kind));
@@ -181,7 +182,7 @@ impl FoundNumbers {
         }
     }
 
-    /// Whether a place holds all of them as they are.
+    /// Whether a place holds all the numbers as they are.
     fn fit(&self, place: FieldTarget) -> bool {
         let (least, most) = range(place);
         let is_light = matches!(place, FieldTarget::Light(..));
@@ -189,8 +190,8 @@ impl FoundNumbers {
     }
 }
 
-/// What the numbers of those attributes are whose type does not tell that their places hold them, or that
-/// are said to be stored otherwise: a reading of the model, if there are such.
+/// Properties of the numbers of those attributes whose type does not guarantee that their places hold them,
+/// or that are said to be stored in another type. Reads the model, if there are such attributes.
 fn found_numbers(
     model: &dyn Model,
     places: &[Option<(usize, FieldTarget)>],
@@ -240,7 +241,7 @@ fn for_intensity(
     }
 }
 
-/// The text of the coordinate reference system, as a record has it, where there is room for it: in LAS 1.4,
+/// Text of the coordinate reference system, as a record has it, where the file has room for it: in LAS 1.4,
 /// whose points are of the new formats.
 fn wkt(content: &ConversionInput<'_>, format: u8, losses: &mut Vec<String>) -> Vec<u8> {
     let text = content.model.wkt().filter(|text| format >= 6 && text.len() < LONGEST);
@@ -254,7 +255,7 @@ fn wkt(content: &ConversionInput<'_>, format: u8, losses: &mut Vec<String>) -> V
     }
 }
 
-/// Tells what of a model points have no place for.
+/// Adds the losses of a model's content that points have no place for.
 fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String>) {
     if content.faces.triangles > 0 {
         losses.push(counted(content.faces.polygons, "face"));
@@ -264,7 +265,7 @@ fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String
     }
 }
 
-/// What is said of each attribute's extra bytes; what else is said is lost.
+/// Remark on each attribute's extra bytes; other remarks are losses.
 fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Option<ExtraBytesRemark>> {
     let attributes = &content.info().attributes;
     let has_time = has_time(attributes);
@@ -285,7 +286,7 @@ fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Optio
         }
     }
     losses.extend(remarks::losses(&lost));
-    // What turns with the surface keeps neither its range nor the steps of its numbers.
+    // Attributes that turn with the surface keep neither their range nor the step of their numbers.
     for place in content.model.following().map_or(&[][..], Following::places) {
         if let Some(slot) = found.get_mut(*place)
             && let Some(remark) = slot.take()
@@ -296,7 +297,7 @@ fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Optio
     found
 }
 
-/// Whether points have times.
+/// Whether points have GPS times.
 fn has_time(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| attribute.name == "gps_time")
 }
@@ -313,7 +314,8 @@ fn point_format(attributes: &[Attribute], has_colors: bool) -> u8 {
     }
 }
 
-/// Where attributes go that have a place in a record: colours by their scale, and all others by their names.
+/// Byte and type in a record of each attribute that has a place there: colours by their scale, and all others
+/// by their names.
 fn places(
     attributes: &[Attribute],
     format: u8,
@@ -329,7 +331,7 @@ fn places(
     attributes.iter().enumerate().map(place).collect()
 }
 
-/// Where red is in a record.
+/// Byte of a record at which red begins.
 fn colors_at(format: u8) -> usize {
     match format {
         2 => 20,
@@ -395,7 +397,7 @@ impl LasForm {
         Ok(this)
     }
 
-    /// Has an attribute written at its place in a record.
+    /// Adds a field for an attribute that has a place in a record.
     fn add_attribute(
         &mut self,
         from: usize,
@@ -423,7 +425,7 @@ impl LasForm {
         self.fields.push(WrittenAttribute { name, from, at, place, rounds });
     }
 
-    /// Has an attribute written as extra bytes, if they have room, with what is said of them.
+    /// Adds extra bytes for an attribute, if the record has room for them, with the remark on them.
     fn add_extra(
         &mut self,
         from: usize,
@@ -472,7 +474,7 @@ impl LasForm {
         self.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
     }
 
-    /// Where the header says how many points there are, and that it is so many.
+    /// Place of the number of points in the header, and its bytes for so many points.
     fn count(&self, points: u64) -> (u64, Vec<u8>) {
         if self.format < 6 {
             (107, (points as u32).to_le_bytes().to_vec())
@@ -498,7 +500,7 @@ impl LasForm {
         all
     }
 
-    /// Where the points begin.
+    /// Byte of the file at which the points begin.
     fn start(&self) -> u64 {
         (self.header_len() + self.vlrs().len()) as u64
     }
@@ -553,11 +555,11 @@ impl LasForm {
             };
             let is_whole = least.is_finite();
             to.push(match field.rounds {
-                // Of what is left out, and where something may be lost, as what a scan does not have though
-                // others do: as in PLY.
+                // Numbers of points that are left out, and missing numbers where losses are allowed, as those
+                // of a scan without an attribute that others have: they become 0, as in PLY.
                 _ if is_whole && self.leaves_out && (scaled.is_nan() || !rows.positions[i].is_finite()) => 0.0,
                 true => scaled.round().clamp(least, most),
-                // What is no number may be one of those that are none.
+                // NaN may be a number of the attribute: a place for floats holds it.
                 false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,
                 false => {
                     return Err(Error::degenerate(format!(
@@ -572,7 +574,7 @@ impl LasForm {
         Ok(())
     }
 
-    /// Takes the records away of vertices that have no position; returns how many there were.
+    /// Removes the records of vertices that have no position; returns their number.
     fn leave_out(&self, rows: &WrittenRows<'_>, records: &mut Vec<u8>) -> usize {
         let mut kept = 0;
         for (i, _) in rows.positions.iter().enumerate().filter(|(_, p)| p.is_finite()) {
@@ -602,7 +604,7 @@ impl LasForm {
     }
 }
 
-/// What is known of each piece.
+/// Tallies of each piece: its points, its bytes, and its points by their return.
 fn pieces(all: &Summary) -> impl Iterator<Item = &[u32; TALLIES]> {
     all.lengths.as_chunks().0.iter()
 }
@@ -612,7 +614,7 @@ pub(super) fn bytes_of(all: &Summary) -> u64 {
     pieces(all).map(|piece| u64::from(piece[1])).sum()
 }
 
-/// Whether all compressed blocks but the last have as many points as usual.
+/// Whether all compressed blocks but the last have the usual number of points.
 pub(super) fn is_fixed(all: &Summary) -> bool {
     let count = pieces(all).count();
     pieces(all).take(count.saturating_sub(1)).all(|piece| piece[0] == BLOCK)
@@ -635,12 +637,13 @@ pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// What is replaced in the end of a file whose first VLR, at this byte, says how points are compressed: where
-/// the table is, which `start` says that the points begin with; and that blocks differ in size, if they do.
+/// Replacements in the end of a file whose first VLR, at byte `vlr`, describes the compression of the points:
+/// the place of the table, which goes to byte `start`, where the points begin; and a mark that blocks differ
+/// in size, if they do.
 pub(super) fn laszip_patches(vlr: u64, start: u64, all: &Summary) -> Vec<(u64, Vec<u8>)> {
     let mut patches = vec![(start, (start + 8 + bytes_of(all)).to_le_bytes().to_vec())];
     if !is_fixed(all) {
-        // Behind compressor, coder, version and options.
+        // The number stands behind compressor, coder, version and options.
         patches.push((vlr + 54 + 12, u32::MAX.to_le_bytes().to_vec()));
     }
     patches
@@ -686,7 +689,7 @@ impl Form for LasForm {
         put(at::OFFSETS as usize, vector(self.integers.offset).as_flattened());
         head.extend_from_slice(&vlrs);
         if self.is_compressed {
-            // Where the table is, which is not known yet.
+            // Room for the place of the table, which is not known yet.
             head.extend_from_slice(&[0; 8]);
         }
         Ok(head)
@@ -706,7 +709,7 @@ impl Form for LasForm {
                 }
             }
             None => {
-                // Of a point that nobody says more of, there is one return.
+                // Points without a number of their return count as first returns.
                 tallies[2] = tallies[0];
                 let first = if self.format < 6 { 1 | 1 << 3 } else { 1 | 1 << 4 };
                 let has_count = self.fields.iter().any(|field| field.name == "number_of_returns");
@@ -734,7 +737,7 @@ impl Form for LasForm {
 
     fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = Vec::new();
-        // Some may have been left out.
+        // Points may have been left out.
         let points: u64 = pieces(all).map(|piece| u64::from(piece[0])).sum();
         patches.push(self.count(points));
         let mut returns = [0u64; TALLIES - 2];
@@ -785,9 +788,9 @@ impl Form for LasForm {
     }
 }
 
-/// Whether a position is that of integers, as far as doubles tell.
+/// Whether a position is one that integers have, up to the rounding of double precision.
 fn is_on_grid(p: DVec3, integers: &ScaledIntegers) -> bool {
-    // What has no integers is an error of its own.
+    // A position without integers is another error, which is reported elsewhere.
     integers.nearest(p).is_none_or(|numbers| {
         let near = 4.0 * f64::EPSILON * p.abs().max(integers.offset.abs());
         (integers.position(numbers) - p).abs().cmple(near).all()
@@ -824,20 +827,20 @@ fn integers(content: &ConversionInput<'_>) -> Result<ScaledIntegers> {
         bounds = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
     }
     let step = how.step.unwrap_or_else(|| {
-        // Room for what moves as far as the model is large.
+        // The range has room for motions as far as the model is large.
         let extent = (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);
         let power = (4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32;
         10f64.powi(power)
     });
     let offset = how.offset.unwrap_or_else(|| {
-        // Of few digits.
+        // The offset gets few digits.
         let unit = step * 1e6;
         (0.5 * (bounds.min + bounds.max) / unit).round() * unit
     });
     Ok(ScaledIntegers { scale: DVec3::splat(step), offset })
 }
 
-/// What makes colours of 16 bits of those of a model.
+/// Factor by which the model's colours become colours of 16 bits.
 fn full_light(content: &ConversionInput<'_>, colors: &Colors) -> Result<f64> {
     match colors.kind {
         Type::U8 => return Ok(257.0),

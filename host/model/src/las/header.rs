@@ -16,10 +16,10 @@ pub(super) const DAMAGED: &str = "the file is damaged: copy or export it again";
 /// Hint where something is missing.
 pub(super) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
 
-/// What a file begins with.
+/// First bytes of a file.
 pub(super) const MAGIC: &[u8] = b"LASF";
 
-/// The places in the header of what is changed in it.
+/// Places of the header's numbers that are changed.
 pub(super) mod at {
     pub const POINTS: u64 = 96;
     pub const VLRS: u64 = 100;
@@ -52,15 +52,15 @@ pub(super) struct LasHeader {
     pub record: usize,
     pub count: u64,
     pub integers: ScaledIntegers,
-    /// The box of all points, as the header tells it; none where it is not one.
+    /// Box of all points in the header; none where it is no box.
     pub told: Option<Bounds>,
-    /// Where the waveforms are in this file, if so.
+    /// Byte of this file at which the waveforms begin, if it has them.
     pub waveforms: Option<u64>,
     /// Whether the waveforms are in another file, of the same name but for its extension.
     pub has_waveforms_beside: bool,
     /// Whether GPS times are said to be adjusted standard ones.
     pub has_adjusted_time: bool,
-    /// Where the EVLRs begin, and their number, if there are any.
+    /// Byte at which the EVLRs begin, and their number, if there are any.
     pub evlrs: Option<(u64, u32)>,
 }
 
@@ -150,7 +150,7 @@ impl LasHeader {
     }
 }
 
-/// The box of all points, as a header tells it.
+/// Box of all points in a header.
 fn told_bounds(header: &[u8; 375]) -> Option<Bounds> {
     let number = |at: usize| f64::from_le_bytes(bytes_at(header, at));
     let corner =

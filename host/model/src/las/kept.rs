@@ -1,6 +1,6 @@
-//! What positions and colours compressed points were found to have, for those that are read again: before
-//! LASzip's third version all numbers of a point are compressed together, so that a part of them takes as
-//! long to read as all.
+//! Positions and colours of compressed points, kept for those that are read again: before LASzip's third
+//! version all numbers of a point are compressed together, so that reading a part of them takes as long as
+//! reading all.
 
 use std::ops::Range;
 use std::path::Path;
@@ -33,7 +33,7 @@ pub(super) struct KeptFields {
 struct KeptBlock {
     /// The block's first vertex.
     first: u64,
-    /// A hash of the block as it is in the model, which may change meanwhile; zero if it is not there.
+    /// Hash of the block as it was in the model, which may change meanwhile; zero if the block is not kept.
     hash: AtomicU64,
 }
 
@@ -45,14 +45,14 @@ pub(super) struct Compressed<'a> {
 }
 
 impl Compressed<'_> {
-    /// What tells it from others; never zero.
+    /// Hash that tells the block from others; never zero.
     fn hash(&self) -> u64 {
         xxh3_64(self.bytes).max(1)
     }
 }
 
 impl KeptFields {
-    /// Nothing yet. `None` if the folder has no room to spare, which is no error.
+    /// Empty storage. `None` if the folder has no room to spare, which is no error.
     pub fn new(folder: &Path, blocks: &LasBlocks, parts: Vec<Range<usize>>, record: usize) -> Option<Self> {
         let of_vertex: usize = parts.iter().map(Range::len).sum();
         let needed = blocks.vertices().saturating_mul(of_vertex as u64).min(MOST);
@@ -70,7 +70,7 @@ impl KeptFields {
         self.parts.iter().map(Range::len).sum()
     }
 
-    /// Keeps what the records of a block have, unless there is no room for it.
+    /// Keeps the parts of a block's records, unless there is no room for them.
     pub fn put(&self, block: Compressed<'_>, records: &[u8]) {
         let Some(KeptBlock { first, hash }) = self.blocks.get(block.number) else { return };
         let stride = self.stride();
@@ -87,7 +87,7 @@ impl KeptFields {
         }
     }
 
-    /// Fills in what was kept of the records of a block; `false` if it is not there.
+    /// Fills in the kept parts of the records of a block; `false` if these are not there.
     pub fn get(&self, block: Compressed<'_>, records: &mut [u8]) -> bool {
         let Some(KeptBlock { first, hash }) = self.blocks.get(block.number) else { return false };
         let hash = hash.load(Ordering::Acquire);

@@ -13,7 +13,7 @@ use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, La
 
 use super::header::{LasHeader, bytes_at};
 
-/// The compression of a file's points, as its VLR says.
+/// Compression of a file's points, from its VLR.
 #[derive(Debug)]
 pub(super) struct Laszip {
     items: Vec<LazItem>,
@@ -21,35 +21,36 @@ pub(super) struct Laszip {
     record: usize,
     /// Whether each number of the record is compressed apart from the others (LASzip 3 and later).
     pub is_layered: bool,
-    /// How many lengths of such layers stand behind the first point of a block.
+    /// Number of lengths of layers behind the first point of a block.
     layers: usize,
-    /// How the points lie in blocks.
+    /// Lengths of the blocks in points.
     pub blocks: BlockLengths,
 }
 
-/// What of compressed points is read.
+/// Parts of compressed points that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum LayerChoice {
     All,
-    /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
+    /// Positions, and all that is decompressed in the same time: in layers, the other numbers are passed
+    /// over.
     Positions,
     /// Positions, and colours.
     Colors,
 }
 
-/// How the points of a file lie in blocks.
+/// Numbers of points in the blocks of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BlockLengths {
-    /// All in one.
+    /// All points in one block.
     One,
-    /// So many in each but the last.
+    /// The same number of points in each block but the last.
     Fixed(u32),
-    /// As many as a table says.
+    /// Numbers of points that a table lists.
     Variable,
 }
 
 impl Laszip {
-    /// Reads the content of the VLR; an error is what is wrong with it.
+    /// Reads the content of the VLR; an error tells the fault in words.
     pub fn new(vlr: &[u8], header: &LasHeader) -> Result<Self, String> {
         let parsed = LazVlr::from_buffer(vlr).map_err(|e| e.to_string())?;
         let [compressor, coder] = [0, 2].map(|at| u16::from_le_bytes(bytes_at(vlr, at)));
@@ -61,7 +62,7 @@ impl Laszip {
         if kinds(&items) != expected {
             return Err(format!("it lists {:?}, where the points are {expected:?}", kinds(&items)));
         }
-        // The library forgets to clear what a colour's upper byte was.
+        // The library forgets to clear the upper byte of a former colour.
         if items.iter().any(|item| (item.item_type(), item.version()) == (LazItemType::RGB12, 1)) {
             return Err("colours of the first version of LASzip are not read as they are".to_owned());
         }
@@ -94,15 +95,15 @@ impl Laszip {
         Ok(this)
     }
 
-    /// How points of a format with so many extra bytes are compressed anew, in blocks of so many, and the
-    /// content of the VLR that says so.
+    /// Compression for points of a format with so many extra bytes, in blocks of so many points, and the
+    /// content of the VLR that describes it.
     pub fn anew(format: u8, extra: u16, block: u32) -> laz::Result<(Self, Vec<u8>)> {
         let items = LazItemRecordBuilder::default_for_point_format_id(format, extra)?;
         let vlr = LazVlrBuilder::new(items.clone()).with_fixed_chunk_size(block).build();
         let mut bytes = Vec::new();
         vlr.write_to(&mut bytes)?;
         let record = vlr.items_size() as usize;
-        // What is only written has no need of its layers.
+        // A compression that only writes does not use its number of layers.
         Ok((
             Self { items, record, is_layered: format >= 6, layers: 0, blocks: BlockLengths::Fixed(block) },
             bytes,
@@ -124,7 +125,7 @@ impl Laszip {
         })
     }
 
-    /// Fills `records` from the bytes of a block; an error is what is wrong with it.
+    /// Decompresses a block into `records`; an error tells the fault in words.
     pub fn decompress(&self, block: &[u8], records: &mut [u8], what: LayerChoice) -> Result<(), String> {
         if records.is_empty() {
             return Ok(());
@@ -157,7 +158,7 @@ impl Laszip {
         Ok(())
     }
 
-    /// How many points a layered block says it has, and how long it says it is, by its first bytes.
+    /// Number of points and of bytes that a layered block declares in its first bytes.
     fn layers_of(&self, start: &[u8]) -> Option<(u32, u64)> {
         let lengths = start.get(self.record + 4..self.head_bytes())?;
         let count = u32::from_le_bytes(bytes_at(start, self.record));
@@ -170,10 +171,10 @@ impl Laszip {
         self.record + 4 + 4 * self.layers
     }
 
-    /// The points and bytes of the block that `from` is at the beginning of, which is read no further than
-    /// needed, where it has at most so many points.
+    /// Number of points and of bytes of the block that `from` is at the beginning of, if it has at most so
+    /// many points; `from` is read no further than needed.
     ///
-    /// An error is what is wrong with it.
+    /// The error tells the fault in words.
     pub fn measure<R: Read + Seek>(&self, mut from: R, most: u64) -> Result<(u64, u64), String> {
         if self.is_layered {
             let mut head = vec![0; self.head_bytes()];
@@ -215,12 +216,12 @@ impl Laszip {
 }
 
 thread_local! {
-    /// Whether a panic of this thread is no fault of the program.
+    /// Whether a panic of this thread comes of the file's content, and not of a fault of the program.
     static MAY_PANIC: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Does what the library panics in where its tables have no entry, as of bytes that are no compressed points:
-/// that is an error then, without a message.
+/// Calls `work`, in which the library panics where its tables have no entry, as of bytes that are no
+/// compressed points: a panic is an error here, without a message.
 fn unless_it_panics(work: impl FnOnce() -> Result<(), String>) -> Result<(), String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

@@ -2,8 +2,8 @@
 //! extra bytes.
 //!
 //! The vertices are the points. Their positions are integers, which are patched in the records; everything
-//! else is copied byte by byte, but for what says where other things are or how far the points reach, which
-//! is corrected where it changes. A block of compressed points in which nothing moves is copied as it is.
+//! else is copied byte by byte, but for places of other content and limits of the points, which are corrected
+//! where they change. A block of compressed points in which nothing moves is copied as it is.
 //!
 //! | module | |
 //! |---|---|
@@ -51,7 +51,7 @@ use crate::{
     VertexChunk, VertexReader, pipeline,
 };
 
-/// Whether a file that begins so is LAS.
+/// Whether a file with these first bytes is LAS.
 pub(super) fn is_las(start: &[u8]) -> bool {
     start.starts_with(header::MAGIC)
 }
@@ -74,7 +74,7 @@ impl Model for LasModel {
     }
 
     fn details(&self) -> Vec<String> {
-        // What cannot be read tells nothing.
+        // A record that cannot be read tells no unit.
         let unit = self.records.unit(&self.source).ok().flatten();
         unit.into_iter().map(|unit| format!("unit: {unit}")).collect()
     }
@@ -92,7 +92,7 @@ impl Model for LasModel {
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
-        // Without a name, nobody is told of it where it is lost.
+        // A text without a name is lost without a note.
         let has_wkt = self.wkt().is_some_and(|text| crate::wkt::name(&text).is_some());
         let known = [VlrKind::Laszip, VlrKind::ExtraBytes, VlrKind::Wkt];
         let known = known.iter().filter(|kind| **kind != VlrKind::Wkt || has_wkt);
@@ -143,7 +143,7 @@ impl Model for LasModel {
     }
 
     fn keep_positions(&self, folder: Option<&Path>) {
-        // In layers, what is not asked for is not decompressed.
+        // Layers that are not asked for are not decompressed.
         let blocks =
             self.compressed.as_ref().filter(|(laszip, _)| !laszip.is_layered).map(|(_, blocks)| blocks);
         let kept = folder
@@ -225,7 +225,7 @@ impl Model for LasModel {
 }
 
 impl LasModel {
-    /// Says that waveforms are in a file of their own, if they are.
+    /// Tells the user that waveforms are in a file of their own, if they are.
     pub(crate) fn tell_of_waveforms(&self, progress: &dyn Progress) {
         if self.header.has_waveforms_beside {
             progress.note(&format!(
@@ -237,7 +237,7 @@ impl LasModel {
         }
     }
 
-    /// Says that what is written has no octree, if this is COPC.
+    /// Notes that the new file has no octree, if this one is COPC.
     pub(crate) fn tell_of_octree(&self, progress: &dyn Progress) {
         if self.records.of_copc().next().is_some() {
             progress.note(&format!(

@@ -22,8 +22,8 @@ pub(super) fn decode(integers: &ScaledIntegers, records: &[u8], record: usize, t
     to.extend(records.chunks_exact(record).map(|bytes| integers.position(numbers(bytes))));
 }
 
-/// Puts edited positions into records, where they are others than before: on the grid of `to`, whose numbers
-/// are those of the file less `shift`. Whether any byte changed.
+/// Puts edited positions into records, where they differ from those before: on the grid of `to`, whose
+/// numbers are those of the file less `shift`. Returns whether any byte changed.
 pub(super) fn patch(
     (to, shift): (&ScaledIntegers, [i64; 3]),
     records: &mut [u8],
@@ -50,7 +50,7 @@ pub(super) fn patch(
         } else if shift != [0; 3] || old != new {
             for axis in 0..3 {
                 let (old, new) = (old[axis], new[axis]);
-                // What has no finite position, as the scale is huge, stays.
+                // A coordinate that is not finite, as the scale is huge, keeps its integer.
                 let number = if old == new || !old.is_finite() {
                     i32::try_from(i64::from(was[axis]) - shift[axis]).ok()
                 } else {

@@ -24,7 +24,7 @@ pub(super) struct LasReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// What of compressed vertices is read.
+    /// Parts of compressed vertices that are read.
     what: LayerChoice,
     /// Blocks that were read ahead, from the one with the next vertex on.
     ahead: VecDeque<BlockGroup>,
@@ -35,7 +35,7 @@ pub(super) struct LasReader<'a> {
 pub(super) struct BlockGroup {
     /// The blocks' first vertex.
     first: u64,
-    /// The blocks' bytes in the file, until a chunk takes them, and each block's share.
+    /// Bytes of the blocks in the file, until a chunk takes them, and each block's share.
     raw: Vec<u8>,
     blocks: Vec<CompressedBlock>,
     /// The records of the points, unpacked.
@@ -71,7 +71,7 @@ impl<'a> LasReader<'a> {
         Ok(count)
     }
 
-    /// Gives the next vertices of blocks that were read ahead.
+    /// Fills a chunk with the next vertices of blocks that were read ahead.
     fn read_compressed(
         &mut self,
         chunk: &mut VertexChunk,

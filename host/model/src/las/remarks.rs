@@ -1,6 +1,6 @@
-//! What LAS says of its attributes that other formats have no place for: the type of GPS times, and what
-//! stands in the descriptions of extra bytes beside names and types (LAS 1.4, table 24). Each is a line,
-//! which PLY keeps as a comment, so that LAS made of that has it again.
+//! Remarks of LAS on its attributes that other formats have no place for: the type of GPS times, and the
+//! parts of the descriptions of extra bytes beside names and types (LAS 1.4, table 24). Each is a line, which
+//! PLY keeps as a comment, so that LAS made of that PLY has it again.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use crate::Type;
 /// Bytes of the description of extra bytes.
 pub(super) const DESCRIPTION: usize = 192;
 
-/// Where in a description its parts are: the text is the last, of 32 bytes.
+/// Bytes at which the parts of a description begin: the text is the last, of 32 bytes.
 const NO_DATA: usize = 40;
 pub(super) const LEAST: usize = 64;
 pub(super) const MOST: usize = 88;
@@ -18,18 +18,18 @@ pub(super) const SCALE: usize = 112;
 pub(super) const OFFSET: usize = 136;
 const TEXT: usize = 160;
 
-/// Bits of a description's options, which say what of it is there.
+/// Bits of a description's options, which say which of its parts are there.
 const HAS_NO_DATA: u8 = 1;
 pub(super) const HAS_LEAST: u8 = 2;
 pub(super) const HAS_MOST: u8 = 4;
 pub(super) const HAS_SCALE: u8 = 8;
 pub(super) const HAS_OFFSET: u8 = 16;
 
-/// The lines, which begin with one of these words.
+/// Line on the type of GPS times, and first word of the lines on extra bytes.
 pub(crate) const GPS_TIME: &str = "gps-time adjusted";
 const EXTRA_BYTES: &str = "extra-bytes";
 
-/// What stands before a name with blanks, which a quote ends.
+/// Words before a name with blanks, which a quote ends.
 const NAME: &str = " name \"";
 
 /// Whether a line is a remark.
@@ -37,7 +37,7 @@ pub(crate) fn is_remark(line: &str) -> bool {
     line == GPS_TIME || ExtraBytesRemark::parse(line).is_some()
 }
 
-/// What is lost with remarks, in a few words each.
+/// Losses of a format that does not keep remarks, in a few words each.
 pub(crate) fn losses(remarks: &[String]) -> Vec<String> {
     let extra = |line: &String| ExtraBytesRemark::parse(line).map(|remark| remark.full_name().to_owned());
     let described: Vec<String> = remarks.iter().filter_map(extra).collect();
@@ -49,21 +49,21 @@ pub(crate) fn losses(remarks: &[String]) -> Vec<String> {
     of_time.into_iter().chain(of_extra).collect()
 }
 
-/// Whether a name with blanks is among what is said.
+/// Whether a remark is about extra bytes of this name, which has blanks.
 pub(crate) fn has_name(remarks: &[String], name: &str) -> bool {
     let is_its =
         |line: &String| ExtraBytesRemark::parse(line).is_some_and(|remark| remark.full_name() == name);
     remarks.iter().any(is_its)
 }
 
-/// What is said of the numbers of extra bytes.
+/// Remark on the numbers of extra bytes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct ExtraBytesRemark {
     /// The attribute's name, without blanks.
     pub name: String,
     /// The attribute's name with blanks, if it has any.
     pub spaced: Option<String>,
-    /// The type that they are stored in, if they are scaled: as `stored · scale + offset`.
+    /// The type in which the numbers are stored, if these are scaled: as `stored · scale + offset`.
     pub stored: Option<Type>,
     pub scale: Option<f64>,
     pub offset: Option<f64>,
@@ -74,7 +74,7 @@ pub(super) struct ExtraBytesRemark {
     pub text: String,
 }
 
-/// A name as remarks have it, and PLY.
+/// Name of an attribute as remarks and PLY have it: without blanks.
 pub(super) fn name_of(name: &str) -> String {
     name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect()
 }
@@ -86,8 +86,8 @@ fn in_digits(number: f64) -> String {
 }
 
 impl ExtraBytesRemark {
-    /// The remark on a description whose numbers, if they are stored in another type, are scaled; `stored`
-    /// reads one of its numbers.
+    /// Reads the remark on a description. Where the numbers are stored in another type, `scaled` is that
+    /// type; `stored` reads one of the description's numbers.
     pub fn read(name: &str, one: &[u8], scaled: Option<Type>, stored: impl Fn(&[u8]) -> f64) -> Self {
         let number = |bit: u8, at: usize| (one[3] & bit != 0).then(|| stored(&one[at..]));
         let double = |bit: u8, at| {
@@ -108,7 +108,7 @@ impl ExtraBytesRemark {
         }
     }
 
-    /// Whether it says nothing but a name.
+    /// Whether the remark has nothing but a name.
     pub fn is_empty(&self) -> bool {
         *self == Self { name: self.name.clone(), ..Self::default() }
     }
@@ -144,7 +144,7 @@ impl ExtraBytesRemark {
         [("scale", scale), ("offset", offset), ("no-data", no_data), ("least", least), ("most", most)]
     }
 
-    /// What a line says; nothing where there are words that are not known.
+    /// Reads a remark from its line; none where the line has words that are not known.
     pub fn parse(line: &str) -> Option<Self> {
         let rest = line.strip_prefix(EXTRA_BYTES)?.strip_prefix(' ')?;
         let (head, text) = rest.split_once(" description ").unwrap_or((rest, ""));
@@ -174,7 +174,7 @@ impl ExtraBytesRemark {
         Some(this)
     }
 
-    /// The number that is stored for another one, in a type that may hold more of them.
+    /// Number that is stored for another one, in a type that may hold more numbers.
     pub fn to_stored(&self, number: f64) -> f64 {
         let stored = (number - self.offset.unwrap_or(0.0)) / self.scale.unwrap_or(1.0);
         match self.stored {
@@ -184,7 +184,7 @@ impl ExtraBytesRemark {
         }
     }
 
-    /// What a stored number stands for.
+    /// Number that a stored number stands for.
     pub fn of_stored(&self, stored: f64) -> f64 {
         stored * self.scale.unwrap_or(1.0) + self.offset.unwrap_or(0.0)
     }
@@ -196,7 +196,7 @@ impl ExtraBytesRemark {
         Self { stored: None, scale: None, offset: None, no_data, least, most, ..self }
     }
 
-    /// Puts what is said into a description of numbers that are stored in a type.
+    /// Puts the remark into a description of numbers that are stored in a type.
     pub fn put(&self, kind: Type, one: &mut [u8]) {
         let bytes = |number: f64| match kind {
             Type::F32 | Type::F64 => number.to_le_bytes(),
@@ -243,7 +243,7 @@ mod tests {
         assert_eq!(ExtraBytesRemark::parse(&remark.line()), Some(remark.clone()));
         assert!(is_remark(&remark.line()) && is_remark(GPS_TIME) && !is_remark("extra-bytesize 3"));
         assert!(!remark.is_empty() && ExtraBytesRemark::parse("extra-bytes a").unwrap().is_empty());
-        // Which would be lost without a word.
+        // Lines with unknown words are no remarks: as remarks, these words would be lost silently.
         for other in ["extra-bytes", "extra-bytes a colour 3", "comment"] {
             assert!(ExtraBytesRemark::parse(other).is_none() && !is_remark(other), "{other}");
         }

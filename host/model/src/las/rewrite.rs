@@ -126,7 +126,7 @@ impl Rewritable for LasModel {
             patches.extend(told_at.map(|at| (at, place.clone())));
             patches.extend(told.map(|at| (self.moved(at) - self.moved(old_end) + end, place)));
         }
-        // Where things behind the points have gone.
+        // New place of a byte behind the points.
         let gone = |at: u64| self.moved(at) - self.moved(old_end) + end;
         if let Some(at) = descriptions {
             patches.extend(self.limits(all, if at < old_end { self.moved(at) } else { gone(at) }));
@@ -161,7 +161,7 @@ impl Rewritable for LasModel {
     }
 }
 
-/// What of the file comes next.
+/// Section of the file that comes next.
 enum LasSection {
     Header,
     Copy(Range<u64>),
@@ -174,7 +174,7 @@ enum LasSection {
 struct LasPieces<'a> {
     model: &'a LasModel,
     next: VecDeque<LasSection>,
-    /// What reads points that are not compressed.
+    /// Reader of points that are not compressed.
     plain: LasReader<'a>,
     /// The first compressed block that was not read.
     block: usize,
@@ -300,7 +300,7 @@ impl LasPieces<'_> {
 }
 
 impl LasModel {
-    /// What of the file is copied between its header and its points.
+    /// Ranges of the file that are copied between its header and its points.
     fn copied_before(&self) -> Vec<Range<u64>> {
         let points = match &self.compressed {
             None => self.header.points,
@@ -309,7 +309,7 @@ impl LasModel {
         self.without_copc(self.header.len..points)
     }
 
-    /// What of a range of the file goes into the new one: all but the octree of COPC.
+    /// Parts of a range of the file that go into the new one: all but the octree of COPC.
     fn without_copc(&self, range: Range<u64>) -> Vec<Range<u64>> {
         let (mut ranges, mut start) = (Vec::new(), range.start);
         let within = |at: u64| at.clamp(range.start, range.end);
@@ -321,7 +321,7 @@ impl LasModel {
         ranges
     }
 
-    /// Where a byte of the file is in the new one, if nothing but the octree of COPC made a difference.
+    /// Place in the new file of a byte of the old one, as far as only the octree of COPC is left out.
     pub(super) fn moved(&self, at: u64) -> u64 {
         let before = self.records.of_copc().filter(|record| record.all.end <= at);
         at - before.map(|record| record.all.end - record.all.start).sum::<u64>()
@@ -332,7 +332,7 @@ impl LasModel {
         self.records.of_copc().filter(|record| record.is_extended == extended).count() as u64
     }
 
-    /// Corrects in the header what is known beforehand.
+    /// Corrects those numbers of the header that are known beforehand.
     pub(super) fn correct_header(&self, bytes: &mut [u8]) {
         let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
         for (axis, _) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {

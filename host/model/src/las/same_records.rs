@@ -1,4 +1,4 @@
-//! LAS as LAZ, and LAZ as LAS: header, records and what lies between stay as they are, and so do points, but
+//! LAS as LAZ, and LAZ as LAS: header, records and the bytes between stay as they are, and so do points, but
 //! for being compressed.
 
 use std::ops::Range;
@@ -19,16 +19,16 @@ const MOST: u64 = 256 << 20;
 /// The points of a file, compressed or not.
 pub(crate) struct SameRecords<'a> {
     source: &'a LasModel,
-    /// How points are compressed, and the content of the VLR that says so.
+    /// Compression of the points, and the content of the VLR that describes it.
     laszip: Option<(Laszip, Vec<u8>)>,
-    /// What lies behind the points.
+    /// Range of the source's bytes behind its points.
     behind: Range<u64>,
 }
 
 impl<'a> SameRecords<'a> {
     pub(crate) fn new(source: &'a LasModel, is_compressed: bool) -> Result<Self> {
         let header = &source.header;
-        // What tells where the table is, at the very end, goes.
+        // The place of the table, in the last bytes of the file, is left out.
         let told = source.compressed.as_ref().is_some_and(|(_, blocks)| blocks.is_told_at_end);
         let end = source.source.len() - if told { PLACE } else { 0 };
         let behind = match &source.compressed {
@@ -56,7 +56,8 @@ impl<'a> SameRecords<'a> {
         Ok(Self { source, laszip, behind })
     }
 
-    /// What of a range of the file stays.
+    /// Bytes of a range of the source that go into the new file: all but the octree of COPC and the VLR of
+    /// the compression.
     fn kept(&self, range: &Range<u64>) -> Result<Vec<u8>> {
         let LasModel { source, records, .. } = self.source;
         let mut dropped: Vec<_> = records.of_copc().chain(records.find(VlrKind::Laszip)).collect();
@@ -72,7 +73,7 @@ impl<'a> SameRecords<'a> {
         Ok(bytes)
     }
 
-    /// Where a byte of the file's records is in the new one, if what lies behind the points begins at `end`
+    /// Place in the new file of a byte of the source's records, if the bytes behind the points begin at `end`
     /// there.
     fn place(&self, at: u64, end: u64) -> Result<u64> {
         if at >= self.behind.start {
@@ -88,7 +89,7 @@ impl<'a> SameRecords<'a> {
         self.laszip.as_ref().map_or(Vec::new(), |(_, content)| vlr(LASZIP.0, LASZIP.1, content))
     }
 
-    /// Where the points begin.
+    /// Byte of the new file at which the points begin.
     fn start(&self) -> Result<u64> {
         let header = &self.source.header;
         let between = self.kept(&(header.len..header.points))?.len() + self.laszip_vlr().len();
@@ -116,7 +117,7 @@ impl Form for SameRecords<'_> {
         head.extend(self.laszip_vlr());
         head.extend(self.kept(&(header.len..header.points))?);
         if self.laszip.is_some() {
-            // Where the table is, which is not known yet.
+            // Room for the place of the table, which is not known yet.
             head.extend_from_slice(&[0; 8]);
         }
         Ok(head)

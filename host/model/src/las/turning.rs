@@ -14,8 +14,8 @@ use crate::{Edited, Summary};
 const OF_A_BOX: usize = 3;
 
 impl LasModel {
-    /// Turns what of `records` follows, which are those of some of a chunk's vertices, the chunk's positions
-    /// being `positions`; whether any bytes changed.
+    /// Turns the attributes that follow in `records`, which are those of some of a chunk's vertices at
+    /// `positions`; returns whether any bytes changed.
     pub(super) fn turn(
         &self,
         (edited, vertices): (&Edited, Range<usize>),
@@ -55,13 +55,13 @@ impl LasModel {
         changed
     }
 
-    /// Where the file has its descriptions of extra bytes.
+    /// Byte of the file at which the descriptions of extra bytes begin, if it has them.
     pub(super) fn descriptions(&self) -> Option<u64> {
         self.records.find(VlrKind::ExtraBytes).map(|record| record.content.start)
     }
 
-    /// What descriptions of extra bytes, which are at `content` in the new file, say of their reach, as far
-    /// as it changes.
+    /// Replacements for those limits of attributes that change, in the descriptions of extra bytes, which are
+    /// at `content` in the new file.
     pub(super) fn limits(&self, all: &Summary, content: u64) -> Vec<(u64, Vec<u8>)> {
         let mut patches = Vec::new();
         for (number, place) in self.following.places().iter().enumerate() {
@@ -79,7 +79,7 @@ impl LasModel {
     }
 }
 
-/// The reach of numbers as they are stored, before and after.
+/// Reach of the stored numbers, before and after the motion.
 struct StoredReach {
     /// The least and the largest of each.
     of: [Vec<[f64; 2]>; 2],

@@ -7,31 +7,32 @@ use super::header::{CUT_OFF, DAMAGED, LasHeader, bytes_at};
 use crate::source::SourceFile;
 use crate::{Result, wkt};
 
-/// Most bytes that are looked at of a record that names a coordinate reference system.
+/// Most bytes that are read of a record that names a coordinate reference system.
 const MOST_OF_CRS: u64 = 1 << 20;
 
 /// The record of numbers that GeoKeys name.
 const GEO_NUMBERS: u16 = 34736;
 
-/// What stands in a GeoKey for a code, where there is none.
+/// Value of a GeoKey for a system or unit that has no code.
 const OWN: u16 = 32767;
 
 /// Kinds of systems in GeoKeys.
 const GEOGRAPHIC: u16 = 2;
 const GEOCENTRIC: u16 = 3;
 
-/// What a record belongs to.
+/// Purpose of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum VlrKind {
     /// The compression of the points.
     Laszip,
-    /// The octree of COPC, and what COPC says of it.
+    /// The octree of COPC, and COPC's info on it.
     Copc,
     /// The description of extra bytes.
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,
-    /// The coordinate reference system as numbers, and the numbers and texts that these name.
+    /// The coordinate reference system as numbers, and (the next two) the numbers and texts that these refer
+    /// to.
     GeoKeys,
     GeoNumbers,
     GeoTexts,
@@ -41,15 +42,15 @@ pub(super) enum VlrKind {
 #[derive(Debug, Clone)]
 pub(super) struct KeptVlr {
     pub kind: VlrKind,
-    /// All of its bytes in the file, with its own header.
+    /// Bytes of the record in the file, with its header.
     pub all: Range<u64>,
-    /// The bytes of its content.
+    /// Bytes of the record's content in the file.
     pub content: Range<u64>,
-    /// Whether it is an EVLR.
+    /// Whether the record is an EVLR.
     pub is_extended: bool,
 }
 
-/// The records of a file that matter here, in its order.
+/// Records of a file that are used, in the order of the file.
 #[derive(Debug, Clone, Default)]
 pub(super) struct KeptVlrs {
     records: Vec<KeptVlr>,
@@ -83,7 +84,8 @@ impl KeptVlrs {
         Ok(this)
     }
 
-    /// Reads the header of the record at a place; where it ends, if that is not beyond `end`.
+    /// Reads the header of the record at a byte; returns the byte at which the record ends, if that is not
+    /// beyond `end`.
     fn read_one(&mut self, source: &SourceFile, at: u64, end: u64, is_extended: bool) -> Result<Option<u64>> {
         let mut bytes = [0; 60];
         let bytes = &mut bytes[..if is_extended { 60 } else { 54 }];
@@ -123,7 +125,7 @@ impl KeptVlrs {
         self.records.iter().find(|record| record.kind == kind)
     }
 
-    /// What belongs to the octree of COPC.
+    /// Records that belong to the octree of COPC.
     pub fn of_copc(&self) -> impl Iterator<Item = &KeptVlr> {
         self.records.iter().filter(|record| record.kind == VlrKind::Copc)
     }
@@ -216,7 +218,7 @@ impl KeptVlrs {
         if let Some(code) = found.filter(|code| *code != 0 && *code != OWN) {
             return Ok(Some(format!("EPSG:{code}")));
         }
-        // Then it may have a name: the projected system, all of it, or the geographic one.
+        // A system without a code may have a name: the projected system, all of it, or the geographic one.
         let texts = self.content(source, VlrKind::GeoTexts, MOST_OF_CRS)?.unwrap_or_default();
         let named = |[.., count, at]: &[u16; 4]| {
             let text = texts.get(usize::from(*at)..)?;

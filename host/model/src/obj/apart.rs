@@ -24,7 +24,7 @@ use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, 
 /// Bytes that are copied at once.
 const COPIED: u64 = 4 << 20;
 
-/// What finding out who uses which normal needs.
+/// Data needed to find out which vertices use which normal.
 #[derive(Debug)]
 pub(super) struct Sharing {
     /// Corners that may name a normal, at most.
@@ -32,18 +32,18 @@ pub(super) struct Sharing {
     pub cache: Arc<Cache>,
 }
 
-/// A model, with its normals if they stand apart.
+/// Model, with its normals if they stand apart from the vertices.
 pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
     pub(super) normals: Option<TextBlocks>,
     pub(super) digits: Digits,
-    /// Where the normals are of corners, which share them.
+    /// Data to resolve the normals of corners, which share them.
     pub(super) sharing: Option<Sharing>,
     /// Normals of corners, which are not read.
     pub(super) of_corners: u64,
 }
 
-/// Where so many normals end.
+/// Byte behind the first `count` normals, if there are as many.
 fn cut(bytes: &[u8], count: u64) -> Option<usize> {
     if count == 0 {
         return Some(0);
@@ -53,7 +53,8 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
 }
 
 impl ApartModel {
-    /// One that has none apart, but so many of corners.
+    /// Model without normals apart from the vertices, and with so many normals of corners, which are not
+    /// read.
     pub(super) fn without(model: TextModel<Obj>, of_corners: u64) -> Self {
         Self { model, normals: None, digits: Digits::default(), sharing: None, of_corners }
     }
@@ -89,7 +90,7 @@ impl ApartModel {
         Ok(Box::new(ObjReader { model: self, vertices, normals, raw, spans, ahead, some }))
     }
 
-    /// Reads the normals in some bytes, which hold so many, and where they stand.
+    /// Reads the normals in some bytes, which hold so many, and their places.
     pub(super) fn decode_normals(
         &self,
         raw: &[u8],
@@ -225,12 +226,12 @@ pub(super) struct ApartPieces<'a> {
     model: &'a ApartModel,
     at: u64,
     vertices: BlockReader<'a>,
-    /// Not there if they are copied.
+    /// Reader of the normals; none if they are copied.
     normals: Option<BlockReader<'a>>,
 }
 
 impl<'a> ApartPieces<'a> {
-    /// With at most so many normals in a chunk.
+    /// Pieces with at most so many normals in a chunk.
     pub(super) fn new(model: &'a ApartModel, normals: Normals, chunk: usize) -> Self {
         let of = |blocks| BlockReader::new(&model.model.source, blocks, 0..u64::MAX);
         let mut of_normals = model.normals.as_ref().filter(|_| normals == Normals::Transform).map(of);

@@ -19,9 +19,9 @@ pub(crate) struct Obj {
     pub(super) beside: bool,
     /// Numbers of a vertex before its attributes.
     pub(super) skipped: usize,
-    /// Where the first face begins and the last one ends.
+    /// Byte at which the first face begins, and the byte at which the last one ends.
     pub(super) face_lines: Range<u64>,
-    /// Some corners are counted backwards from where they stand.
+    /// Some corners count vertices backwards from the place where they stand.
     pub(super) is_relative: bool,
     /// Other lines, by their first words.
     pub(super) others: BTreeMap<Vec<u8>, u64>,
@@ -89,7 +89,7 @@ impl Grammar for Obj {
                 *span = word.map(|at| (start + at) as u32);
             }
         }
-        // As many as there should be, unless the file has changed.
+        // There are as many normals as vertices, unless the file has changed.
         if self.beside && normals != vertices { usize::MAX } else { vertices }
     }
 

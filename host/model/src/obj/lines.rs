@@ -5,7 +5,7 @@ use crate::text::lines::{LineEnds, lines, without_mark};
 use crate::text::{is_space, next_word, parse};
 use crate::{Result, Scalar};
 
-/// What ends the lines of OBJ.
+/// Way in which the lines of OBJ end.
 pub(super) const ENDS: LineEnds = LineEnds::Continued;
 
 /// The kind of a line.
@@ -59,7 +59,7 @@ fn keyword(line: &[u8]) -> Option<&[u8]> {
     next_word(line, 0, true).map(|(start, end)| &line[start..end])
 }
 
-/// Whether a file looks like OBJ: its first statement is one that files begin with.
+/// Whether a file looks like OBJ: its first statement is one that OBJ files begin with.
 pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     const START: usize = 1 << 14;
     let mut start = Vec::new();
@@ -78,8 +78,8 @@ pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     }))
 }
 
-/// A whole number that a word begins with, and where it ends; `None` if it begins with none. One that is too
-/// large becomes the largest.
+/// Whole number that a word begins with, and the byte at which the number ends; `None` if the word begins
+/// with none. A number that is too large becomes the largest.
 #[inline]
 pub(super) fn leading_integer(word: &[u8]) -> Option<(i64, usize)> {
     let negative = word.first() == Some(&b'-');
@@ -102,7 +102,7 @@ pub(super) fn absolute(index: i64, before: u64) -> i64 {
     }
 }
 
-/// Whether every corner of a face that has a normal has the one with its vertex' number.
+/// Whether every corner of a face that names a normal names the one with the number of the corner's vertex.
 pub(super) fn normals_are_of_vertices(line: &[u8], vertices: u64, normals: u64) -> bool {
     values(line).all(|(start, end)| {
         let word = &line[start..end];

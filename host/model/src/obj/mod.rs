@@ -3,8 +3,8 @@
 //!
 //! Normals are of corners here. Where a file has as many as vertices, and every corner uses the normal that
 //! has the number of its vertex, they are those of the vertices: either each beside its vertex, or apart from
-//! them. Other normals are not read; when the model is written, each becomes the mean of what it becomes
-//! where it is used, if that agrees, and keeps its bytes otherwise, which is said.
+//! them. Other normals are not read; when the model is written, each becomes the mean of its turned versions
+//! at all places that use it, if these agree, and keeps its bytes otherwise, which is noted.
 //!
 //! | module | |
 //! |---|---|
@@ -65,7 +65,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
     })
 }
 
-/// What the numbers behind a vertex' position mean.
+/// Names of the numbers behind a vertex' position, by their count.
 fn colours(first_vertex: &[u8]) -> &'static [&'static str] {
     match values(first_vertex).count() {
         4 => &["w"],

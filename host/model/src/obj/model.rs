@@ -1,4 +1,4 @@
-//! An OBJ file as a model: what is written depends on whose its normals are.
+//! An OBJ file as a model: the way of writing depends on whether normals belong to vertices or to corners.
 
 use std::ops::Range;
 use std::path::Path;

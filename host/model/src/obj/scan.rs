@@ -11,22 +11,22 @@ use crate::text::lines::{Lines, text_start, wrong_line};
 use crate::text::{coordinate, may_be_beyond, next_word, no_normal, parse};
 use crate::{Result, Scalar};
 
-/// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
-/// what is held of them.
+/// Most runs of vertices or of normals, one after the other, of a file whose normals are read: a bound of the
+/// memory for them.
 const MOST_RUNS: u64 = 1 << 18;
 
-/// What has the normals: vertices or corners.
+/// Owner and place of the normals: those of vertices, or those of corners.
 #[derive(Debug)]
 pub(super) enum NormalsAre {
-    /// There are none.
+    /// The file has no normals.
     None,
     /// The vertices': each stands in a line before or behind its vertex, and no other vertex between.
     Beside,
     /// The vertices', in the same order, but elsewhere in the file.
     Apart(TextBlocks),
-    /// Normals are of corners, which share them.
+    /// Normals of corners, which share them.
     Shared(TextBlocks),
-    /// So many, in too many places.
+    /// So many normals, in too many runs to be read.
     Scattered(u64),
 }
 
@@ -36,18 +36,18 @@ pub(super) struct ObjScan {
     pub(super) vertices: TextBlocks,
     pub(super) normals: NormalsAre,
     pub(super) faces: u64,
-    /// Where the first face begins and the last one ends.
+    /// Byte at which the first face begins, and the byte at which the last one ends.
     pub(super) face_lines: Range<u64>,
-    /// How many corners the faces have that may name a normal, at most.
+    /// Number of corners of all faces that may name a normal, at most.
     pub(super) corners: u64,
     /// Some numbers of corners are negative.
     pub(super) is_relative: bool,
     pub(super) first_vertex: Vec<u8>,
-    /// How many lines begin with other words, of which so many at most are told apart.
+    /// Number of lines that begin with each other word; a bounded number of words is told apart.
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
-/// Most words that others are told apart by, and most bytes of each.
+/// Most first words of other lines that are told apart, and most bytes of each.
 const MOST_WORDS: usize = 64;
 const LONGEST_WORD: usize = 16;
 
@@ -87,7 +87,7 @@ struct ScannedFaces {
     /// The bytes from the first one to the last one.
     lines: Range<u64>,
     slashes: u64,
-    /// Whether any of them counts vertices backwards.
+    /// Whether any face counts vertices backwards.
     is_relative: bool,
 }
 
@@ -108,7 +108,7 @@ struct NormalPairs {
     builder: Option<TextBlocksBuilder>,
     vertices: u64,
     normals: u64,
-    /// Where the first line of a vertex begins whose second one is to come.
+    /// Byte at which the first line of a vertex begins, as long as the second one is to come.
     start: u64,
 }
 
@@ -126,7 +126,7 @@ impl NormalPairs {
         }
     }
 
-    /// The vertices of a file and where their normals are, of the lines of both.
+    /// Blocks of the vertices of a file, and the place of their normals, from the lines of both.
     fn finish(
         self,
         [vertices, normals]: [TextBlocks; 2],

@@ -1,8 +1,8 @@
 //! Normals that corners share: one for several vertices, or several for one.
 //!
-//! Where a normal is used is found by one pass over the faces: pairs of normal and vertex, sorted, in
-//! the cache. When the file is written, each normal is turned at every place that uses it. It becomes
-//! their mean where all are within five degrees of it, and keeps its bytes elsewhere.
+//! The places that use a normal are found by one pass over the faces: pairs of normal and vertex, sorted, in
+//! the cache. When the file is written, each normal is turned at every place that uses it. It becomes the
+//! mean of the turned normals where all are within five degrees of the mean, and keeps its bytes elsewhere.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -45,9 +45,9 @@ pub(super) struct SharedNormals<'a> {
     /// The positions of all vertices, and behind them the pairs: the normal in the upper half, the vertex in
     /// the lower; ascending, none twice.
     file: SourceFile,
-    /// How many pairs there are.
+    /// Number of pairs.
     pairs: u64,
-    /// Normals that keep their bytes as their places disagree, of all versions.
+    /// Number of normals, in all versions, that keep their bytes as their places disagree.
     kept: AtomicU64,
 }
 
@@ -70,7 +70,7 @@ impl<'a> SharedNormals<'a> {
         Ok(Self { model, file, pairs, kept: AtomicU64::new(0) })
     }
 
-    /// Says what was kept.
+    /// Notes the number of normals that were kept.
     pub(super) fn tell(&self, progress: &dyn Progress) {
         let kept = self.kept.load(Ordering::Relaxed);
         if kept > 0 {
@@ -82,7 +82,7 @@ impl<'a> SharedNormals<'a> {
         }
     }
 
-    /// What reads pairs, each of 8 bytes, and positions, each of 24.
+    /// Readers of the pairs, each of 8 bytes, and of the positions, each of 24.
     fn records(&self) -> (RecordFile<'_, PAIR>, RecordFile<'_, POSITION>) {
         let positions = POSITION as u64 * self.model.info().vertices;
         (RecordFile::new(&self.file, positions..self.file.len()), RecordFile::new(&self.file, 0..positions))
@@ -133,7 +133,7 @@ fn position_of(bytes: [u8; POSITION]) -> DVec3 {
 struct RecordFile<'a, const N: usize> {
     file: &'a SourceFile,
     range: Range<u64>,
-    /// Each the block of the number beside it, or none.
+    /// Block that is held for each reading position: its number and bytes, or none.
     blocks: Vec<(u64, Vec<u8>)>,
 }
 
@@ -184,7 +184,7 @@ impl Rewritable for SharedNormals<'_> {
         let (mut pairs, mut places) = self.records();
         let mut next = self.first_pair(&mut pairs, first)?;
         let end = self.first_pair(&mut pairs, first + count as u64)?;
-        // Where there are too many places, each normal is looked at in some of them, evenly spread.
+        // Too many places for a chunk: each normal is turned at some of its places, evenly spread.
         let most =
             if end - next > CHUNK_VERTICES as u64 { CHUNK_VERTICES / count.max(1) } else { CHUNK_VERTICES };
         let most = most.max(1) as u64;
@@ -249,7 +249,7 @@ fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) ->
     Ok(())
 }
 
-/// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
+/// Writes pairs of normals and vertices, sorted, from `start` on; returns the byte at which they end.
 fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
     let mut runs = Runs::new(to)?;
     let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, ENDS);
@@ -288,13 +288,13 @@ fn pair(word: &[u8], vertices: u64, normals: u64) -> Option<u64> {
 /// Pairs in sorted runs in a file.
 struct Runs {
     scratch: Scratch,
-    /// Where each run ends, in pairs.
+    /// End of each run, counted in pairs.
     ends: Vec<u64>,
     buffer: Vec<u64>,
 }
 
 impl Runs {
-    /// Beside the file that they go to in the end.
+    /// Runs in a file beside the one that they go to in the end.
     fn new(beside: &Scratch) -> Result<Self> {
         Ok(Self { scratch: beside.beside()?, ends: Vec::new(), buffer: Vec::new() })
     }
@@ -314,7 +314,7 @@ impl Runs {
         Ok(())
     }
 
-    /// Writes all of them in order, none twice, from `start` on; returns how many they are.
+    /// Writes the pairs of all runs in order, none twice, from `start` on; returns their number.
     fn merge(mut self, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
         if !self.buffer.is_empty() {
             self.end_run()?;
@@ -349,7 +349,7 @@ impl Runs {
     }
 }
 
-/// What is left of a run.
+/// Rest of a run that is not merged yet.
 struct RestOfRun {
     next: u64,
     end: u64,

@@ -34,16 +34,16 @@ impl Data {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct PcdField {
     pub(super) name: String,
-    /// As the header has them, as `F` and 4.
+    /// Letter and size of the type as the header has them, as `F` and 4.
     letter: String,
     pub(super) size: usize,
     pub(super) count: usize,
-    /// None for whole numbers of 64 bits.
+    /// Type of the numbers; none for whole numbers of 64 bits.
     pub(super) kind: Option<Type>,
 }
 
 impl PcdField {
-    /// What PLY calls a coordinate of the position or the normal.
+    /// Name that PLY has for a coordinate of the position or the normal.
     pub(super) fn component(&self) -> Option<&'static str> {
         Some(match self.name.as_str() {
             "x" => "x",
@@ -60,7 +60,7 @@ impl PcdField {
         self.component().is_some()
     }
 
-    /// For people, as "F4 intensity".
+    /// The field in words for people, as "F4 intensity".
     pub(super) fn describe(&self) -> String {
         let times = if self.count == 1 { String::new() } else { format!(" ({})", self.count) };
         format!("{}{} {}{times}", self.letter, self.size, self.name)
@@ -81,7 +81,7 @@ pub(super) struct PcdHeader {
     pub(super) data: Data,
     /// The length of the header, behind which the points begin.
     pub(super) len: u64,
-    /// The header's text, and where its last line begins.
+    /// Text of the header, and the byte at which its last line begins.
     pub(super) text: Vec<u8>,
     pub(super) data_line: usize,
 }
@@ -120,7 +120,7 @@ impl PcdHeader {
     }
 }
 
-/// What the lines so far say.
+/// Contents of the header's lines read so far.
 #[derive(Default)]
 struct Parser {
     version: Option<String>,
@@ -134,7 +134,7 @@ struct Parser {
 }
 
 impl Parser {
-    /// Takes a line; what it says if it is the last one.
+    /// Takes a line; returns the encoding of the data if the line is the last one.
     fn line(&mut self, line: &str) -> Result<Option<Data>, PcdFault> {
         let line = line.split('#').next().unwrap_or_default();
         let mut words = line.split_ascii_whitespace();

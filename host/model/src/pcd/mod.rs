@@ -2,8 +2,8 @@
 //!
 //! But for the header these are records as PLY has them, and are read and written by the same code: see
 //! [`ply`](crate::ply). A compressed file holds one block of at most 4 GiB, in which each field of all points
-//! comes before the next field: it is unpacked into the [cache](crate::cache) when it is opened, and what is
-//! written is not compressed, which its header says.
+//! comes before the next field: it is unpacked into the [cache](crate::cache) when it is opened, and is
+//! written without compression, according to its new header.
 
 mod header;
 mod unpack;
@@ -15,7 +15,7 @@ use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
 use header::{Data, PcdField, PcdHeader};
 
-/// Whether a file of that extension begins as PCD, whatever its first comment says.
+/// Whether a file with the extension `pcd` begins as PCD, whatever its first comment says.
 pub(crate) fn is_head(source: &SourceFile) -> bool {
     PcdHeader::read(source).is_ok()
 }
@@ -47,7 +47,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
     Ok(Box::new(model))
 }
 
-/// What of a file is given nowhere else.
+/// Content of the file that is not read, in a few words each.
 fn besides(model: &PlyModel) -> Result<Vec<String>> {
     let header = PcdHeader::read(model.source())?;
     let mut besides = Vec::new();

@@ -10,7 +10,7 @@ use crate::source::SourceFile;
 use crate::text::{CUT_OFF, DAMAGED};
 use crate::{Error, Progress, Result};
 
-/// How far back a copy may begin.
+/// Longest distance back at which a copy may begin, in bytes.
 const WINDOW: usize = 1 << 13;
 
 /// Bytes that are read, and written, at a time.
@@ -68,7 +68,7 @@ pub(super) fn unpack(source: &SourceFile, header: &PcdHeader, making: &Making<'_
 
 struct Unpacker<'a> {
     source: &'a SourceFile,
-    /// What is read next of the file, and where the block ends in it.
+    /// Byte of the file that is read next, and the end of the compressed block.
     at: u64,
     end: u64,
     input: Vec<u8>,
@@ -100,7 +100,7 @@ impl Unpacker<'_> {
                 let Some(from) = self.output.len().checked_sub(back) else {
                     return Err(self.damaged("a copy of what comes before the first point"));
                 };
-                // Copies may overlap what they make.
+                // A copy may overlap the bytes that it makes.
                 for i in from..from + length + 2 {
                     self.output.push(self.output[i]);
                 }

@@ -46,7 +46,7 @@ pub(super) fn scan(
     Ok(Some(at))
 }
 
-/// A vertex of a chunk with a coordinate that is none, and what to do about it.
+/// Vertex of a chunk with a coordinate that is none, and advice.
 #[derive(Debug, PartialEq)]
 pub(super) struct NoCoordinate {
     pub(super) vertex: usize,
@@ -81,8 +81,8 @@ pub(super) fn decode(layout: &PlyLayout, chunk: &mut VertexChunk) -> Result<(), 
     Ok(())
 }
 
-/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited or follow, and without
-/// normals if they are to be dropped.
+/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited or follow the surface,
+/// and without normals if they are to be dropped.
 pub(super) fn splice(
     layout: &PlyLayout,
     following: &Following,

@@ -8,7 +8,7 @@ use crate::Type;
 use crate::VertexChunk;
 use crate::text::{self, next_word};
 
-/// A vertex of a chunk with a word that is no number, and its attribute.
+/// Vertex of a chunk with a word that is no number, and the attribute of the word.
 #[derive(Debug, PartialEq)]
 pub(super) struct NotANumber {
     pub(super) vertex: usize,
@@ -16,7 +16,7 @@ pub(super) struct NotANumber {
     pub(super) word: String,
 }
 
-/// Fills each list with the numbers of one attribute, those of the first ones.
+/// Fills each list with the numbers of one attribute, in the order of the first attributes.
 pub(super) fn decode(layout: &PlyLayout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
     to.iter_mut().for_each(Vec::clear);
     match (layout.stride, layout.encoding) {
@@ -36,7 +36,8 @@ pub(super) fn decode(layout: &PlyLayout, chunk: &VertexChunk, to: &mut [Vec<f64>
     Ok(())
 }
 
-/// Fills each list with the numbers of the attribute at one of these places, if all records have a length.
+/// Fills each list with the numbers of the attribute at one of these places, if all records have the same
+/// length.
 pub(super) fn decode_some(
     layout: &PlyLayout,
     chunk: &VertexChunk,

@@ -12,7 +12,7 @@ use crate::frame::is_finite;
 use crate::unfit::{Unfit, same_normal};
 use crate::{Edited, Scalar, VertexChunk};
 
-/// A chunk of a binary file but for its bytes, as they were read.
+/// Chunk of a binary file without its bytes, as it was read.
 #[derive(Clone, Copy)]
 pub(super) struct Rest<'a> {
     pub(super) positions: &'a [DVec3],
@@ -20,11 +20,11 @@ pub(super) struct Rest<'a> {
     pub(super) spans: &'a [[u32; 2]],
 }
 
-/// How a floating-point number lies in the file.
+/// Type of floating-point numbers in the file: reads and writes one in place.
 trait Codec: Copy {
     fn get(self, raw: &[u8], at: usize) -> f64;
     fn put(self, raw: &mut [u8], at: usize, value: f64);
-    /// Puts it there, or what is there already: without a branch.
+    /// Puts the value at a byte, or else the number that is there already: without a branch.
     fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64);
 }
 
@@ -78,7 +78,7 @@ impl<const BIG: bool> Codec for F64<BIG> {
     }
 }
 
-/// Either of them, known at run time alone: for vertices that mix float and double.
+/// Float or double, known at run time alone: for vertices that mix both.
 #[derive(Clone, Copy)]
 struct Any<const BIG: bool>(Scalar);
 
@@ -252,7 +252,7 @@ fn patch_positions<C: Codec>(
         if !is_finite(*old) {
             continue;
         }
-        // What did not change has the bytes that it had: this takes no branch.
+        // A coordinate that did not change gets the bytes that it had: writing it takes no branch.
         for (c, new) in new.to_array().into_iter().enumerate() {
             codecs[c].put(raw, at[c], new);
             fits &= codecs[c].get(raw, at[c]).is_finite();
@@ -289,7 +289,8 @@ fn patch_normals<C: Codec>(
     }
 }
 
-/// Turns what follows in `raw`, the bytes of whole vertices, of which these had finite positions.
+/// Turns the attributes that follow in `raw`, the bytes of whole vertices, of which these had finite
+/// positions.
 pub(super) fn turn(
     layout: &PlyLayout,
     following: &Following,

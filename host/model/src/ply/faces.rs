@@ -4,7 +4,7 @@
 //! list `vertex_indices` (or `vertex_index`) of integers. Without such a list, an element has no triangles.
 //!
 //! A list may be as long as the file, so it is never held: a fan or a strip needs two corners beside the
-//! next. What is held are [`BLOCK`] bytes of the file.
+//! next. The memory is [`BLOCK`] bytes of the file.
 
 use std::ops::Range;
 
@@ -33,13 +33,14 @@ pub(super) struct PlyFaces<'a> {
 /// An element to go over.
 struct FaceElement {
     plan: RecordPlan,
-    /// Where it begins; `None` in a text file, where that is where the one before ends.
+    /// Byte at which the element begins; `None` in a text file, where it begins at the end of the element
+    /// before.
     start: Option<u64>,
     /// The list whose items are corners, of those elements that have triangles.
     corners: Option<IndexList>,
-    /// Whether the list is one of strips.
+    /// Whether the list is one of triangle strips.
     strips: bool,
-    /// For records that are read all at once.
+    /// Plan for records that are read all at once, if they are of such a kind.
     compact: Option<Compact>,
 }
 
@@ -66,7 +67,7 @@ struct Compact {
     before: usize,
     corners: usize,
     bare: usize,
-    /// The list's length among the 32 bits from its place on: how far to shift them, and which then to keep.
+    /// Right shift and (`mask`) mask by which the list's length is taken from the 32 bits at its place.
     shift: u32,
     mask: u32,
     /// The bit of a signed corner that makes it negative.
@@ -74,7 +75,7 @@ struct Compact {
 }
 
 impl Compact {
-    /// Most corners of a polygon that is read so.
+    /// Most corners of a polygon that is read so, in one go.
     const CORNERS: usize = 16;
 
     fn new(plan: &RecordPlan, item: Type, encoding: Encoding) -> Option<Self> {
@@ -157,7 +158,7 @@ fn corner_list(element: &PlyElement) -> Option<IndexList> {
     })
 }
 
-/// Whether a property lists the corners of faces.
+/// Whether a property is the list of the corners of faces.
 pub(super) fn are_corners(property: &Property) -> bool {
     matches!(property.shape, PropertyShape::List { item, .. } if !item.is_float())
         && matches!(property.name.as_str(), "vertex_indices" | "vertex_index")
@@ -176,12 +177,12 @@ pub(super) fn bytes(model: &PlyModel) -> u64 {
     } else if with_triangles.is_empty() {
         0
     } else {
-        // As if there was nothing else but the vertices.
+        // The size counts all bytes as faces that are no vertices.
         model.source.len().saturating_sub(model.header.len + model.info.vertex_bytes)
     }
 }
 
-/// Where a face begins, if all of them are triangles by the bytes that they take: see
+/// Byte at which a face begins, if the length of the element shows that all faces are triangles: see
 /// [`face_at`](crate::Model::face_at).
 pub(super) fn triangle_at(model: &PlyModel, face: u64) -> Option<u64> {
     let [element] = with_triangles(&model.header)[..] else { return None };
@@ -268,7 +269,7 @@ pub(super) struct SomeFaces<'a> {
 }
 
 impl<'a> SomeFaces<'a> {
-    /// All from a mark on, with marks.
+    /// Reader of all faces from a mark on, with marks.
     pub(super) fn from(model: &'a PlyModel, mark: u64) -> Result<Self> {
         let end = with_triangles(&model.header).first().and_then(|element| model.starts.get(element + 1));
         let end = end.copied().unwrap_or(mark);
@@ -393,7 +394,7 @@ impl<'a> RecordCursor<'a> {
         Ok(true)
     }
 
-    /// Reads those records that lie in the window, as far as they are short.
+    /// Reads the records that lie in the window, as far as they are short.
     fn read_compact(&mut self, plan: &RecordPlan, compact: &Compact, chunk: &mut FaceChunk) {
         loop {
             let end = plan.count.min(self.next_mark);
@@ -412,7 +413,7 @@ impl<'a> RecordCursor<'a> {
         }
     }
 
-    /// Notes the place where it stands, if a block begins there.
+    /// Notes a mark at the current record, if a block begins there.
     fn note_mark(&mut self, chunk: &mut FaceChunk) {
         if self.record >= self.next_mark {
             self.next_mark = self.record + FACES_OF_A_BLOCK;
@@ -420,7 +421,7 @@ impl<'a> RecordCursor<'a> {
         }
     }
 
-    /// The place where it stands, behind so many triangles.
+    /// Mark at the current record, behind so many triangles.
     fn mark(&self, triangle: usize) -> FaceMark {
         FaceMark { triangle, offset: self.window.position() }
     }
@@ -440,7 +441,7 @@ impl<'a> RecordCursor<'a> {
         Ok(())
     }
 
-    /// Passes over what is of no interest.
+    /// Passes over the properties that are not read.
     fn pass(&mut self, plan: &RecordPlan) -> Result<()> {
         if self.encoding != Encoding::Ascii {
             if !self.window.pass(self.skip) {
@@ -475,7 +476,7 @@ impl<'a> RecordCursor<'a> {
         Ok(value)
     }
 
-    /// Takes the next word of a text file: where in the window's block it lies.
+    /// Takes the next word of a text file, and returns its range in the window's block.
     fn word(&mut self, plan: &RecordPlan) -> Result<Range<usize>> {
         loop {
             let window = &mut self.window;
@@ -510,12 +511,12 @@ impl<'a> RecordCursor<'a> {
 struct BlockWindow<'a> {
     source: &'a SourceFile,
     block: Vec<u8>,
-    /// What of the block has been taken, and how much of it is filled.
+    /// Number of the block's bytes that were taken, and (`filled`) of those that were read.
     at: usize,
     filled: usize,
-    /// Where in the file the filled part ends.
+    /// Byte of the file at which the filled part ends.
     end: u64,
-    /// Nothing is read beyond, if only a part of the file shall be.
+    /// Byte of the file beyond which nothing is read, if only a part of the file shall be read.
     limit: Option<u64>,
 }
 
@@ -524,22 +525,22 @@ impl<'a> BlockWindow<'a> {
         Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0, limit: None }
     }
 
-    /// Where in the file the next byte lies.
+    /// Byte of the file that comes next.
     fn position(&self) -> u64 {
         self.end - self.rest().len() as u64
     }
 
-    /// What has been read and not taken.
+    /// Bytes that were read and not taken.
     fn rest(&self) -> &[u8] {
         &self.block[self.at..self.filled]
     }
 
-    /// Whether there is no more to be read.
+    /// Whether no more bytes are to be read.
     fn is_last(&self) -> bool {
         self.end >= self.limit()
     }
 
-    /// Whether all has been taken that shall be, of a part of the file.
+    /// Whether all bytes of the part of the file that shall be read were taken.
     fn is_drained(&self) -> bool {
         self.limit.is_some_and(|limit| self.position() >= limit)
     }
@@ -567,7 +568,7 @@ impl<'a> BlockWindow<'a> {
         }
     }
 
-    /// Whether so many bytes follow, after reading on where needed. They are fewer than a block.
+    /// Whether so many bytes, fewer than a block, are there; reads on where needed.
     #[inline]
     fn holds(&mut self, bytes: usize) -> Result<bool> {
         if self.filled - self.at < bytes {
@@ -576,7 +577,7 @@ impl<'a> BlockWindow<'a> {
         Ok(self.filled - self.at >= bytes)
     }
 
-    /// Drops what has been taken and reads on; `false` if nothing was taken of a full block.
+    /// Drops the bytes that were taken and reads on; `false` if nothing was taken of a full block.
     #[cold]
     fn refill(&mut self) -> Result<bool> {
         self.block.copy_within(self.at..self.filled, 0);
@@ -834,7 +835,7 @@ mod tests {
         }
     }
 
-    /// From any mark to any other, exactly the faces between them are read.
+    /// The faces between any mark and any other are read, and no others.
     #[test]
     fn faces_are_read_between_marks() {
         let lists: Vec<Vec<i64>> = (0..100)
@@ -990,7 +991,7 @@ mod tests {
                 let triangles = read(&bytes).unwrap();
                 for end in 0..bytes.len() {
                     match read(&bytes[..end]) {
-                        // Of a text, the spaces after the last number may be missing.
+                        // The spaces behind the last number of a text may be missing.
                         Ok(read) => {
                             assert_eq!(encoding, Encoding::Ascii);
                             assert_eq!(read, triangles, "{end}");
@@ -1031,7 +1032,8 @@ mod tests {
         let endless = "the file ends within element \"face\", record 1 of 2";
         assert_eq!(text("0 99999999999999999999 0"), endless);
 
-        // Nobody looks at the lists of an element that is long, and lies.
+        // A long element is opened by a few of its lists, so that a wrong one shows only when the faces are
+        // read.
         let triangles = vec![&[0i64, 2, 3][..]; 100_000];
         let table = lists("face", list(Type::I8, Type::I32, "vertex_indices"), &triangles);
         let mut bytes = file(Encoding::Big, &[vertices(1), table]);

@@ -15,19 +15,19 @@ pub struct PlyModel {
     /// Index of the element that holds the vertices.
     pub(super) vertex: usize,
     pub(super) layout: PlyLayout,
-    /// What of the layout's attributes turns with the surface.
+    /// Attributes of the layout that turn with the surface.
     pub(super) following: Following,
-    /// Where in the file the vertices begin.
+    /// Byte of the file at which the vertices begin.
     pub(super) vertices_start: u64,
-    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text
-    /// file.
+    /// Bytes at which the elements of a binary file begin, and after them the end of the last one. Empty for
+    /// a text file.
     pub(super) starts: Vec<u64>,
     pub(super) offsets: Offsets,
-    /// Makes the header anew without those of the normals.
+    /// Function that makes the header anew without the properties of the normals.
     pub(super) without_normals: fn(&[u8]) -> Vec<u8>,
-    /// What the user should know of the file that is written.
+    /// Note for the user on the file that is written.
     pub(crate) note: Option<&'static str>,
-    /// What the file has that is given nowhere else.
+    /// Returns the content of the file that is not read, in a few words each.
     pub(crate) besides: fn(&PlyModel) -> Result<Vec<String>>,
     /// Extensions that names of such files have.
     pub(crate) extensions: &'static [&'static str],

@@ -1,11 +1,11 @@
-//! The header: what elements the file holds, and how they are stored.
+//! The header: elements of the file, and the encoding of their data.
 
 use std::str::FromStr;
 
 use crate::source::SourceFile;
 use crate::{Result, Type};
 
-/// A header has to end within this many bytes: what goes on without end is no PLY file.
+/// Longest header in bytes: a file whose header goes on is no PLY file.
 pub(super) const MAX_HEADER: usize = 1 << 20;
 
 /// The properties that are a vertex' normal.
@@ -13,7 +13,7 @@ pub(super) const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 
 pub(super) use crate::text::{DAMAGED, quoted};
 
-/// How the data after the header is stored.
+/// Encoding of the data behind the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Encoding {
     Ascii,
@@ -22,7 +22,7 @@ pub(crate) enum Encoding {
 }
 
 impl Encoding {
-    /// For people, as in "PLY 1.0, ascii".
+    /// Name of the encoding for people, as in "PLY 1.0, ascii".
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ascii => "ascii",
@@ -65,7 +65,7 @@ pub(crate) struct Property {
 }
 
 impl Property {
-    /// For people, as "uchar red" or "list uchar int vertex_indices".
+    /// The property in words for people, as "uchar red" or "list uchar int vertex_indices".
     pub(super) fn describe(&self) -> String {
         match self.shape {
             PropertyShape::Scalar(t) => format!("{} {}", t.name(), self.name),
@@ -85,7 +85,7 @@ pub(crate) struct PlyElement {
 }
 
 impl PlyElement {
-    /// Whether records differ in length.
+    /// Whether records may differ in length, as some property is a list.
     pub(super) fn has_lists(&self) -> bool {
         self.properties.iter().any(|p| matches!(p.shape, PropertyShape::List { .. }))
     }
@@ -105,13 +105,13 @@ impl PlyElement {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
-    /// In the file's order, which is that of the data.
+    /// Elements in the file's order, which is that of the data.
     pub(crate) elements: Vec<PlyElement>,
     /// The length of the header, behind which the data begins.
     pub(crate) len: u64,
 }
 
-/// Whether a file that begins so says that it is PLY.
+/// Whether a file with these first bytes says that it is PLY.
 pub(crate) fn is_ply(start: &[u8]) -> bool {
     start.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
 }
@@ -170,7 +170,7 @@ pub(super) fn without_normals(header: &[u8]) -> Vec<u8> {
     lines.flatten().copied().collect()
 }
 
-/// What is wrong on which line.
+/// Fault of a header: its line, the fault in words, and advice.
 #[derive(Debug)]
 struct HeaderFault {
     line: usize,
@@ -205,8 +205,8 @@ fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<PlyHeader>, HeaderFaul
 
 /// The byte that ends the lines of a header.
 ///
-/// The first line tells. Binary data may begin with a byte that looks like a line feed, so a carriage return
-/// ends lines only where the first one ends in it alone.
+/// The end of the first line tells. Binary data may begin with a byte that looks like a line feed, so a
+/// carriage return ends lines only where the first line ends in it alone.
 fn line_separator(bytes: &[u8]) -> u8 {
     match memchr::memchr2(b'\r', b'\n', bytes) {
         Some(at) if bytes[at] == b'\r' && bytes.get(at + 1).is_some_and(|&b| b != b'\n') => b'\r',

@@ -1,4 +1,4 @@
-//! Where a vertex record keeps its position and normal, and what else turns with the surface.
+//! Layout of a vertex record: position and normal, and the other numbers that turn with the surface.
 
 use super::header::{DAMAGED, Encoding, NORMAL, PlyElement, Property, PropertyShape, quoted};
 use crate::source::SourceFile;
@@ -14,10 +14,10 @@ pub(super) struct Component {
     pub(super) offset: usize,
 }
 
-/// What to do with a property of a vertex record while going over it.
+/// Treatment of a property of a vertex record while the record is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PropertySlot {
-    /// Nothing: so many bytes of something else.
+    /// Another property, of so many bytes, which is passed over.
     Other { size: usize },
     /// The component of this index, of so many bytes.
     Component { index: usize, size: usize },
@@ -36,13 +36,13 @@ pub(super) struct PlyLayout {
     pub(super) file_order: Vec<usize>,
     /// The properties in the file's order.
     pub(super) slots: Vec<PropertySlot>,
-    /// Bytes of a record, if that is the same for all of them: in binary files without lists.
+    /// Bytes of a record, if all records have the same number: in binary files without lists.
     pub(super) stride: Option<usize>,
     /// The properties that are neither position nor normal, for people.
     pub(super) other: Vec<String>,
     /// The properties that are numbers with a name of their own, in the file's order.
     pub(super) attributes: Vec<Attribute>,
-    /// Where each of these stands: its index among the slots, and bytes from the start of the record where
+    /// Place of each attribute: its index among the slots, and bytes from the start of the record where
     /// records are of fixed size.
     pub(super) places: Vec<(usize, usize)>,
     /// The slot of a number, and its type, whose bytes are [colours](Self::unpack_colors) in a text.
@@ -113,7 +113,7 @@ impl PlyLayout {
                 PropertySlot::Component { index, size: t.size() }
             }
         });
-        // Other formats have what nobody can ask for.
+        // Other formats have properties without names, which cannot be asked for.
         if index.is_none() && !property.name.is_empty() {
             self.other.push(property.describe());
             let known = self.attributes.iter().any(|known| known.name == property.name);
@@ -151,7 +151,7 @@ impl PlyLayout {
         self.has_normals
     }
 
-    /// Where among the components those begin that are neither position nor normal.
+    /// Index of the first component that is part neither of the position nor of the normal.
     pub(super) fn following(&self) -> usize {
         if self.has_normals { 6 } else { 3 }
     }

@@ -56,7 +56,7 @@ use layout::PlyLayout;
 use offsets::Offsets;
 use reader::PlyReader;
 
-/// What the header tells of a model; how many bytes its vertices and faces take is not known yet.
+/// Info on a model from its header; the bytes of vertices and faces are not known yet.
 fn info(source: &SourceFile, header: &PlyHeader, vertices: u64, layout: &PlyLayout) -> ModelInfo {
     let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
     ModelInfo {
@@ -79,9 +79,9 @@ impl PlyModel {
         &self.source
     }
 
-    /// What the file `source` is.
+    /// Opens the file `source`.
     ///
-    /// A binary file that is cut off is noticed here; a text file when what is missing is read, or by
+    /// A binary file that is cut off is noticed here; a text file where the missing part is read, or by
     /// [`Model::check_complete`].
     ///
     /// # Errors
@@ -96,12 +96,7 @@ impl PlyModel {
         Ok(model)
     }
 
-    /// What a file of such records is, which need not be called PLY. `without_normals` makes its header anew
-    /// without those of the vertices' normals.
-    ///
-    /// # Errors
-    /// As of [`new`](Self::new).
-    /// Makes colours of the bytes of a number of a [text](Layout::unpack_colors).
+    /// Makes colours of the bytes of a number of a [text](PlyLayout::unpack_colors).
     pub(super) fn unpack_colors(&mut self) {
         self.layout.unpack_colors();
         self.following = Following::recognised(&self.layout.attributes);
@@ -109,6 +104,11 @@ impl PlyModel {
         self.info.attributes = self.layout.attributes.clone();
     }
 
+    /// Opens a file of such records, which need not be called PLY. `without_normals` makes its header anew
+    /// without the properties of the vertices' normals.
+    ///
+    /// # Errors
+    /// As of [`new`](Self::new).
     pub(super) fn from_header(
         source: SourceFile,
         header: PlyHeader,
@@ -152,7 +152,7 @@ impl PlyModel {
         Ok(model)
     }
 
-    /// What the header says besides.
+    /// Our own comments in the header, and the number of the others.
     fn comments(&self) -> Result<Comments> {
         let mut text = Vec::new();
         self.source.append_at(&mut text, 0, self.header.len as usize)?;
@@ -174,7 +174,7 @@ impl PlyModel {
         Ok(comments)
     }
 
-    /// Comments, and what is neither vertex nor face.
+    /// Comments, and elements and properties that are neither of vertices nor of faces.
     fn besides_of_ply(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let others = self.comments()?.others;
@@ -208,8 +208,8 @@ impl PlyModel {
         Ok(besides)
     }
 
-    /// In a text file: all that follows, if nothing but vertices does, and otherwise as if all vertices were
-    /// like the first ones.
+    /// Bytes of the vertices in a text file: all that follow, if nothing but vertices does, and otherwise as
+    /// if all vertices were like the first ones.
     fn estimate_vertex_bytes(&self) -> u64 {
         const FIRST: u64 = 1000;
         if self.info.vertices == 0 {
@@ -222,7 +222,7 @@ impl PlyModel {
         }
         let count = FIRST.min(self.info.vertices);
         let mut chunk = VertexChunk::default();
-        // What may be wrong with them is told when they are read.
+        // Errors in these vertices are reported when they are read.
         match PlyReader::new(self, 0..count).and_then(|mut reader| reader.read(&mut chunk)) {
             Ok(true) => {
                 let bytes = chunk.raw.len() as f64 / chunk.len() as f64 * self.info.vertices as f64;
@@ -343,8 +343,8 @@ impl Model for PlyModel {
     }
 }
 
-/// What comments of ours begin with: the name of the coordinate reference system, and parts of it as text,
-/// which other programs have no room for in one line.
+/// Keywords of our own comments: on the name of the coordinate reference system, and on its text in parts of
+/// `PART` bytes, as other programs have no room for all of it in one line.
 const CRS: &str = "crs";
 const WKT: &str = "crs-wkt";
 const PART: usize = 200;

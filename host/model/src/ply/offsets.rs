@@ -1,10 +1,10 @@
-//! Where some of the vertices begin, where their records differ in length: learnt by reading them.
+//! Offsets of some of the vertices where their records differ in length: learnt by reading them.
 
 use std::sync::{Mutex, PoisonError};
 
 use crate::CHUNK_VERTICES;
 
-/// Vertices of a file, and where they begin.
+/// Vertices of a file, and the bytes at which they begin, as far as known.
 #[derive(Debug)]
 pub(super) struct Offsets(Mutex<KnownOffsets>);
 
@@ -17,7 +17,7 @@ struct KnownOffsets {
 }
 
 impl Offsets {
-    /// Most entries: with twice as many vertices they get half as dense.
+    /// Most entries: with twice as many vertices, entries become half as dense.
     const MAX: usize = 1 << 14;
 
     pub(super) fn new() -> Self {

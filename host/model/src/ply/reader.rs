@@ -27,10 +27,10 @@ pub(super) struct PlyReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// Where in the file the next vertex begins.
+    /// Byte of the file at which the next vertex begins.
     offset: u64,
-    /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK`
-    /// bytes, or about a record if that is more.
+    /// Bytes of the file from `offset` on that were read ahead, where records differ in length: at most
+    /// `BLOCK` bytes, or about a record if that is more.
     ahead: Vec<u8>,
 }
 
@@ -52,12 +52,12 @@ impl<'a> PlyReader<'a> {
         Ok(reader)
     }
 
-    /// Vertices of a whole chunk, where they all have a length of `stride`.
+    /// Number of vertices of a whole chunk, where all have a length of `stride`.
     pub(super) fn fixed_chunk(stride: usize) -> u64 {
         CHUNK_VERTICES.min((CHUNK_BYTES / stride).max(1)) as u64
     }
 
-    /// Where in the file the next vertex begins; after the last vertex, where the vertices end.
+    /// Byte of the file at which the next vertex begins; after the last vertex, the end of the vertices.
     pub(super) fn offset(&self) -> u64 {
         self.offset
     }
@@ -125,8 +125,8 @@ impl<'a> PlyReader<'a> {
         Ok(())
     }
 
-    /// Reads the bytes of the next vertices into `chunk`, and where their numbers lie; returns how many
-    /// vertices these are, none at the end. What it holds else means nothing until it is
+    /// Reads the bytes of the next vertices into `chunk`, and the places of their numbers; returns the number
+    /// of these vertices, 0 at the end. The rest of the chunk is meaningless until it is
     /// [decoded](PlyModel::decode).
     pub(super) fn read_bytes(&mut self, chunk: &mut VertexChunk) -> Result<usize> {
         chunk.first = self.range.start;

@@ -63,16 +63,16 @@ impl Rewritable for PlyModel {
     }
 }
 
-/// The pieces of a PLY file: the header, if it is another one without normals, what comes before the
-/// vertices, the vertices, and what comes after them.
+/// Pieces of a PLY file: the header, if it becomes another one without normals, the bytes before the
+/// vertices, the vertices, and the bytes behind them.
 struct PlyPieces<'a> {
     model: &'a PlyModel,
     /// The header is to be read, and goes out without normals.
     drop_normals: bool,
-    /// Where the next bytes without vertices are.
+    /// Byte of the file at which the next bytes without vertices begin.
     at: u64,
     vertices: PlyReader<'a>,
-    /// What looks whether all is there that the header speaks of after the vertices, once these are read.
+    /// Check, once the vertices are read, that all is there that the header announces behind them.
     walker: Option<Walker>,
 }
 
@@ -107,7 +107,7 @@ impl Pieces for PlyPieces<'_> {
         };
         if self.at < source.len() {
             self.at += self.model.read_bytes(chunk, self.at, CHUNK_BYTES)?;
-            // Once it is done, it takes nothing: what follows is copied without being looked at.
+            // A walker that is done takes nothing: further bytes are copied without being checked.
             walker.feed(&chunk.raw).map_err(|what| source.malformed(what, DAMAGED))?;
             return Ok((Piece::Bytes, 1));
         }
@@ -153,7 +153,7 @@ impl PlyModel {
         header + (self.vertices_start - from).div_ceil(CHUNK_BYTES as u64)
     }
 
-    /// Where the vertices end, if they are all of one length.
+    /// Byte at which the vertices end, if all are of one length.
     fn vertices_end(&self) -> Option<u64> {
         let bytes = self.info.vertices.checked_mul(self.layout.stride? as u64)?;
         self.vertices_start.checked_add(bytes)

@@ -1,8 +1,8 @@
 //! Goes over elements without reading their numbers: to find where an element ends, and whether the file does
 //! so too early.
 //!
-//! The walker is fed the file block by block, of whatever size, and keeps a few bytes between them. It counts
-//! in bytes in a binary file, and in words in a text file; all the rest is the same for both.
+//! The walker is fed the file block by block, of any size, and keeps a few bytes between them. It counts in
+//! bytes in a binary file, and in words in a text file; all the rest is the same for both.
 
 use std::fmt::Display;
 
@@ -24,19 +24,19 @@ const BLOCK: usize = 1 << 18;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum WalkStep {
-    /// So many units (bytes or words) of no interest.
+    /// Number of units (bytes or words) that are passed over.
     Skip(u64),
     /// The length of the list that the property of this index is, whose items take so many units each.
     Count { property: usize, kind: Type, item: u64 },
 }
 
-/// The steps of one record, and how often they are gone through.
+/// Steps of one record, and the number of records.
 #[derive(Debug)]
 pub(super) struct RecordPlan {
     name: String,
     pub(super) count: u64,
     pub(super) steps: Vec<WalkStep>,
-    /// Without lists all records are one skip: how many units a record is of.
+    /// Number of units of a record, where no property is a list: all records are one skip.
     fixed: Option<u64>,
 }
 
@@ -65,7 +65,7 @@ impl RecordPlan {
         Self { name, count, steps, fixed: None }
     }
 
-    /// What is wrong where the file ends within this record.
+    /// Message on a file that ends within this record.
     pub(super) fn ends_early(&self, record: u64) -> String {
         let (name, count) = (quoted(&self.name), self.count);
         match self.fixed {
@@ -74,7 +74,7 @@ impl RecordPlan {
         }
     }
 
-    /// What is wrong with this record.
+    /// Message on a malformed record.
     pub(super) fn wrong(&self, record: u64, what: impl Display) -> String {
         format!("element {}, record {record}: {what}", quoted(&self.name))
     }
@@ -85,7 +85,7 @@ impl RecordPlan {
 pub(super) struct Walker {
     encoding: Encoding,
     plans: Vec<RecordPlan>,
-    /// Where it stands: index into `plans`, record, index into the steps of the record.
+    /// Position of the walk: index into `plans`, record, index into the steps of the record.
     plan: usize,
     record: u64,
     step: usize,
@@ -93,7 +93,7 @@ pub(super) struct Walker {
     skip: u64,
     /// The first bytes of a list's length that a block ended within; in text, of any word but one passed by.
     partial: Vec<u8>,
-    /// In text: a block ended within a word.
+    /// Whether a block of text ended within a word.
     in_word: bool,
 }
 
@@ -120,8 +120,9 @@ impl Walker {
         self.plan == self.plans.len()
     }
 
-    /// Takes the next bytes of the file. Returns how many belong to the elements: fewer than all, or all of
-    /// them at the end exactly, once it is done. The error says what is wrong, without the file's name.
+    /// Takes the next bytes of the file. Returns the number of bytes that belong to the elements: fewer than
+    /// all, or all of them at the exact end, once the walk is done. The error tells the fault, without the
+    /// file's name.
     pub(super) fn feed(&mut self, bytes: &[u8]) -> Result<usize, String> {
         match self.encoding {
             Encoding::Ascii => self.feed_words(bytes),
@@ -129,7 +130,7 @@ impl Walker {
         }
     }
 
-    /// To be called at the end of the file: an error unless all elements are complete.
+    /// Ends the walk at the end of the file: an error unless all elements are complete.
     pub(super) fn finish(&mut self) -> Result<(), String> {
         if self.in_word {
             // The end of the file ends a word as well.
@@ -145,7 +146,7 @@ impl Walker {
         }
     }
 
-    /// Goes on to the next step that something has to be read for.
+    /// Goes on to the next step for which bytes have to be read.
     fn settle(&mut self) {
         while self.skip == 0 {
             let Some(plan) = self.plans.get(self.plan) else { return };
@@ -255,7 +256,7 @@ impl Walker {
     }
 }
 
-/// Goes over `elements`, which begin at `start` of the file; returns where they end.
+/// Walks over `elements`, which begin at `start` of the file; returns the byte at which they end.
 pub(super) fn walk(
     source: &SourceFile,
     encoding: Encoding,
@@ -299,7 +300,7 @@ fn walk_by(
     Ok(at)
 }
 
-/// Where each element of a binary file begins, and after them the end of the last one.
+/// Returns the bytes at which the elements of a binary file begin, and after them the end of the last one.
 ///
 /// Elements without lists are summed up. Those with lists would have to be read in full; but most meshes have
 /// triangles alone, and then the rest of the file is as long as that many records of the first one's size.
@@ -341,8 +342,8 @@ pub(super) fn extents(
     Ok(starts)
 }
 
-/// The end of an element with lists, if the file is exactly as long as if all its records had the size of the
-/// first one, and `after` it no lists follow.
+/// End of an element with lists, if the file is exactly as long as if all records of the element had the size
+/// of the first one, and no lists follow in the elements `after`.
 fn uniform_lists(
     source: &SourceFile,
     encoding: Encoding,
@@ -361,7 +362,7 @@ fn uniform_lists(
         return None;
     }
     let one = PlyElement { count: 1, ..element.clone() };
-    // What is wrong with a record is told by the walk over all of them.
+    // An error in a record is reported by the walk over all of them.
     let record_size = |at| {
         walk_by(PROBE_BLOCK, source, encoding, std::slice::from_ref(&one), at, &Silent).map(|end| end - at)
     };

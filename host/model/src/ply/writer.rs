@@ -27,14 +27,14 @@ pub fn write_points(
     write_vertices(path, positions, besides, scalar, comments)
 }
 
-/// What a file has beside positions.
+/// Contents of a file of vertices beside their positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Besides<'a> {
-    /// One for each position, or none at all.
+    /// Normals, one for each position, or none at all.
     pub normals: &'a [Vec3],
     /// Red, green and blue of each, or none at all.
     pub colors: &'a [[u8; 3]],
-    /// Whether each has its number as `id`.
+    /// Whether each vertex has its number as `id`.
     pub ids: bool,
     /// The triangles that become the faces.
     pub triangles: &'a [[u32; 3]],

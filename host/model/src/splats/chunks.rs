@@ -46,7 +46,7 @@ const SPLAT: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", 
 /// Steps between bounds, along three axes.
 const STEPS: DVec3 = DVec3::new(2047.0, 1023.0, 2047.0);
 
-/// What is wrong with a file that looks like one, for people.
+/// Advice about a file that looks like a compressed PLY and is malformed, for people.
 const HINT: &str = "export it again as a compressed PLY, or as an ordinary one";
 
 /// A compressed PLY file.
@@ -55,7 +55,7 @@ struct CompressedPly {
     source: SourceFile,
     info: ModelInfo,
     following: Following,
-    /// Where the bounds, the splats, their harmonics and what follows these begin.
+    /// Bytes at which the bounds, the splats, their harmonics and the rest of the file begin.
     starts: [u64; 4],
     /// Groups of bounds: two, or three with colours.
     groups: usize,
@@ -77,7 +77,7 @@ pub(crate) fn open_ply(source: SourceFile) -> Result<Box<dyn Model>> {
     Ok(Box::new(PlyModel::new(source)?))
 }
 
-/// Whether an element has just these properties, of one type.
+/// Whether an element has just these properties, all of one type.
 fn has_just<'a>(element: &PlyElement, kind: Type, names: impl IntoIterator<Item = &'a str>) -> bool {
     let found = element.properties.iter().map(|p| (p.name.as_str(), p.shape));
     found.eq(names.into_iter().map(|name| (name, PropertyShape::Scalar(kind))))
@@ -159,7 +159,8 @@ impl CompressedPly {
         24 * self.groups
     }
 
-    /// From one position to the next along each axis, in the chunk where that is most.
+    /// Step from one position to the next along each axis, in the chunk of the file where the steps are
+    /// largest.
     fn step(&self) -> Result<DVec3> {
         let (mut step, mut bytes, mut at) = (DVec3::ZERO, Vec::new(), self.starts[0]);
         while at < self.starts[1] {
@@ -189,7 +190,7 @@ impl CompressedPly {
         })
     }
 
-    /// All that a splat has besides its position, in the order of the attributes.
+    /// Appends all numbers of a splat besides its position, in the order of the attributes.
     fn numbers(&self, bounds: &[u8], packed: &[u8], to: &mut Vec<f64>) {
         to.clear();
         let [_, rotation, scale, colour] = words(packed);
@@ -223,7 +224,7 @@ impl ChunkRange {
     /// The box that holds nothing.
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
-    /// A group of those that a chunk has.
+    /// Range of a group in a chunk's record.
     fn from_record(record: &[u8], group: usize) -> Self {
         let at = |i: usize| {
             let mut four = [0; 4];
@@ -253,20 +254,20 @@ impl ChunkRange {
         Self(self.0.map(|side| side.as_vec3().as_dvec3()))
     }
 
-    /// What lies at these parts of the way between them.
+    /// Position at these parts of the way from the first corner to the second, along each axis.
     fn interpolate(&self, parts: [f64; 3]) -> DVec3 {
         let t = DVec3::from_array(parts);
         self.0[0] * (1.0 - t) + self.0[1] * t
     }
 
-    /// At which parts of the way something lies.
+    /// Parts of the way from the first corner to the second at which a position lies, along each axis.
     fn parts(&self, p: DVec3) -> [f64; 3] {
         let (way, extent) = (p - self.0[0], self.extent());
         [0, 1, 2].map(|axis| if extent[axis] > 0.0 { way[axis] / extent[axis] } else { 0.0 })
     }
 }
 
-/// What the splats of a chunk of the file become.
+/// New numbers of the splats of a chunk of the file.
 struct TurnedSplats {
     positions: Vec<DVec3>,
     /// The splats' numbers before and after, one splat after the other.
@@ -509,11 +510,11 @@ impl Rewritable for CompressedPly {
     }
 }
 
-/// The header, the bounds, the splats and their harmonics, each of these made of all bytes of the splats; and
-/// what follows them.
+/// Pieces of the file: the header, the bounds, the splats and their harmonics, each of these made of all
+/// bytes of the splats; and the bytes behind them.
 struct ChunkPieces<'a> {
     model: &'a CompressedPly,
-    /// Where in the header, or behind the splats, it goes on.
+    /// Byte of the header, or behind the splats, that comes next.
     at: u64,
     part: ChunkElement,
     /// The next splat of the part.

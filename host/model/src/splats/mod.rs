@@ -1,5 +1,5 @@
-//! Gaussian splats in layouts of their own, of few bytes each: what is read has the same numbers, by the same
-//! names, as PLY files of 3D Gaussian splatting, and is written back in as many bits as there are.
+//! Gaussian splats in layouts of their own, of few bytes each: they are read as the same numbers, by the same
+//! names, as PLY files of 3D Gaussian splatting have, and are written back in as many bits as there are.
 //!
 //! | module | |
 //! |---|---|
@@ -24,7 +24,7 @@ use crate::{
     Attribute, CHUNK_VERTICES, Edited, Model, ModelInfo, Result, Scalar, Type, VertexChunk, VertexReader,
 };
 
-/// What the numbers of a splat are called, with so many harmonics beyond the first three.
+/// Attributes of a splat with so many harmonics beyond the first three.
 fn attributes(harmonics: usize) -> Vec<Attribute> {
     let groups = [("f_dc_", 3), ("f_rest_", harmonics), ("opacity", 1), ("scale_", 3), ("rot_", 4)];
     let names = groups.into_iter().flat_map(|(name, count)| {
@@ -33,7 +33,7 @@ fn attributes(harmonics: usize) -> Vec<Attribute> {
     names.map(|name| Attribute { name, kind: Type::F32 }).collect()
 }
 
-/// Where among these numbers the groups begin.
+/// Indices among these attributes at which the groups begin.
 #[derive(Debug, Clone, Copy)]
 struct GroupOffsets {
     opacity: usize,
@@ -53,7 +53,7 @@ impl GroupOffsets {
     }
 }
 
-/// What is known of such a file.
+/// Info on a file of splats.
 fn info(
     format: String,
     source: &SourceFile,

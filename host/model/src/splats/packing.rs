@@ -8,7 +8,7 @@ pub(super) fn coefficient(colour: f64) -> f64 {
     (colour - 0.5) / FIRST
 }
 
-/// The opacity before the sigmoid. None and all of it would not be finite: a quarter of a step is kept from
+/// Opacity before the sigmoid. That of 0 and of 255 would not be finite: a quarter of a step is kept from
 /// either.
 pub(super) fn opacity(byte: u8) -> f64 {
     let opacity = f64::from(byte).clamp(0.25, 254.75) / 255.0;
@@ -33,7 +33,7 @@ pub(super) fn bits(part: f64, of: u32) -> u32 {
     ((part * f64::from(most) + 0.5).floor() as u32).min(most)
 }
 
-/// Bits of the three numbers of a position or of scales, and how far to the left they are.
+/// Number of bits of each of the three numbers of a position or of scales, and their shift to the left.
 const THREE: [[u32; 2]; 3] = [[11, 21], [10, 11], [11, 0]];
 
 /// Three parts of the whole.

@@ -22,7 +22,7 @@ pub(crate) const EXTENSION: &str = "splat";
 /// Bytes of a splat.
 const RECORD: usize = 32;
 
-/// Where in a record its scales, its colour and its quaternion begin.
+/// Bytes of a record at which its scales, its colour and its quaternion begin.
 const SCALES: usize = 12;
 const COLOUR: usize = 24;
 const QUATERNION: usize = 28;
@@ -66,7 +66,7 @@ fn position(record: &[u8]) -> DVec3 {
     Vec3::from_array([0, 4, 8].map(|at| float(record, at))).as_dvec3()
 }
 
-/// All that a splat has besides, in the order of the attributes.
+/// Appends all numbers of a splat besides its position, in the order of the attributes.
 fn numbers(record: &[u8], to: &mut Vec<f64>) {
     to.clear();
     to.extend((0..3).map(|i| packing::coefficient(f64::from(record[COLOUR + i]) / 255.0)));
@@ -75,7 +75,7 @@ fn numbers(record: &[u8], to: &mut Vec<f64>) {
     to.extend((0..4).map(|i| (f64::from(record[QUATERNION + i]) - HALF) / HALF));
 }
 
-/// Writes those that are others than before.
+/// Writes the numbers that have changed.
 fn put_numbers(record: &mut [u8], old: &[f64], new: &[f64]) {
     let at = GroupOffsets::new(0);
     let is_new = |i: usize| old[i].to_bits() != new[i].to_bits() && new[i].is_finite();

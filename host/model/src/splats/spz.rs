@@ -1,8 +1,8 @@
 //! SPZ of Niantic, versions 2 and 3: a header and one array after the other (positions of 24 bits, opacities,
 //! colours, logarithms of scales, quaternions, harmonics), compressed as a whole by gzip.
 //!
-//! The file is unpacked into the cache once. What is written goes through gzip again, array by array: splats
-//! are carried over once for each array of numbers that turn, each time with the same result.
+//! The file is unpacked into the cache once. The new file goes through gzip again, array by array: splats are
+//! carried over once for each array of numbers that turn, each time with the same result.
 //!
 //! A chunk's bytes are those of its splats, with all of a splat's numbers side by side.
 
@@ -25,7 +25,7 @@ use crate::{
     Summary, VertexChunk, VertexReader,
 };
 
-/// What the unpacked file begins with.
+/// First bytes of the unpacked file.
 const MAGIC: [u8; 4] = *b"NGSP";
 
 /// Bytes of the header.
@@ -34,10 +34,10 @@ const HEADER: u64 = 16;
 /// Bytes that are unpacked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No file is unpacked to more than so many times its size by what its format can do.
+/// Largest ratio of a file's unpacked size to its size, as the format of the compression allows it.
 const MOST_PACKED: u64 = 1100;
 
-/// What can be done about a file that is not what it says.
+/// Advice about a file that is malformed.
 const HINT: &str = "the file is damaged, or no SPZ of version 2 or 3: copy or export it again";
 
 /// Whole numbers of a position lie between minus this and this.
@@ -70,7 +70,7 @@ struct Spz {
     unit: f64,
 }
 
-/// Whether a file that begins so is compressed as SPZ is.
+/// Whether a file with these first bytes is compressed as SPZ is.
 pub(crate) fn is_gzip(start: &[u8]) -> bool {
     start.starts_with(&[0x1f, 0x8b])
 }
@@ -142,7 +142,7 @@ impl Read for SourceReader<'_> {
 }
 
 impl Spz {
-    /// Where an array is among the numbers of a splat.
+    /// Range of an array among the numbers of a splat.
     fn place(&self, array: Array) -> Range<usize> {
         let start = self.sizes[..array as usize].iter().sum();
         start..start + self.sizes[array as usize]
@@ -161,7 +161,7 @@ impl Spz {
         }))
     }
 
-    /// All that a splat has besides, in the order of the attributes.
+    /// Appends all numbers of a splat besides its position, in the order of the attributes.
     fn numbers(&self, splat: &[u8], to: &mut Vec<f64>) {
         let at = |array| &splat[self.place(array)];
         to.clear();
@@ -176,7 +176,7 @@ impl Spz {
         to.extend([w, x, y, z]);
     }
 
-    /// What becomes of an array of one splat.
+    /// Appends the new bytes of an array of one splat.
     fn put(&self, array: Array, splat: &[u8], old: &[f64], new: &[f64], to: &mut Vec<u8>) {
         let places = GroupOffsets::new(self.sizes[Array::Harmonics as usize]);
         let start = to.len();
@@ -231,7 +231,7 @@ impl Spz {
         Ok(())
     }
 
-    /// Whether an array may change; colours do not, and opacities only if they are conserved.
+    /// Whether an array may change: positions may, colours do not, and the others only where splats turn.
     fn may_change(&self, array: Array) -> bool {
         match array {
             Array::Positions => true,
@@ -382,7 +382,7 @@ impl Model for Spz {
     }
 }
 
-/// An output that gets what is written compressed.
+/// Output that compresses the bytes that it gets.
 struct CompressedOutput<'a> {
     to: &'a mut dyn Output,
     encoder: GzEncoder<Vec<u8>>,

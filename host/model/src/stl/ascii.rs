@@ -14,7 +14,7 @@ use crate::text::{CUT_OFF, DAMAGED, coordinate, is_space, next_word, no_normal, 
 use crate::unfit::Unfit;
 use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
 
-/// Whether a file begins as text: with `solid`, and without anything that is none.
+/// Whether a file begins as text: with `solid`, and without bytes that are no text.
 pub(super) fn is_text(source: &SourceFile) -> Result<bool> {
     const START: usize = 1024;
     let mut start = Vec::new();
@@ -43,7 +43,7 @@ fn first_word(line: &[u8]) -> Option<&[u8]> {
     next_word(line, 0, true).map(|(start, end)| &line[start..end])
 }
 
-/// What a line of STL is.
+/// Kind of a line of STL.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum StlLine {
     Solid,
@@ -60,7 +60,7 @@ impl StlLine {
         first_word(line).map_or(Self::Other, Self::of_word)
     }
 
-    /// What a line is that begins with this word.
+    /// Kind of a line that begins with this word.
     fn of_word(word: &[u8]) -> Self {
         let is = |name: &str| word.eq_ignore_ascii_case(name.as_bytes());
         match word.len() {
@@ -75,7 +75,8 @@ impl StlLine {
         }
     }
 
-    /// How many words it has, where any number of others may stand behind it otherwise.
+    /// Number of words of the line's statement, behind which any number of other words could stand otherwise;
+    /// none where the statement may be of any length.
     fn words(self, line: &[u8]) -> Option<usize> {
         match self {
             Self::Solid | Self::EndSolid | Self::Unknown => None,
@@ -87,7 +88,7 @@ impl StlLine {
     }
 }
 
-/// What is wrong with a line that is no statement, or none that may follow so many facets and corners.
+/// Message on a line that is no statement, or none that may follow so many facets and corners.
 fn wrong_statement(kind: StlLine, line: &[u8], facets: u64, corners: u64) -> String {
     let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
     match kind {
@@ -96,7 +97,7 @@ fn wrong_statement(kind: StlLine, line: &[u8], facets: u64, corners: u64) -> Str
     }
 }
 
-/// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
+/// Finds the vertices and counts the facets. The whole structure of the file is checked here.
 fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
     let begin = text_start(source)?;
     let mut lines = Lines::new(source, begin, u64::MAX, ends);
@@ -105,7 +106,7 @@ fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
     let is_free = matches!(ends, LineEnds::Words(_));
     while let Some((start, line)) = lines.next()? {
         let kind = StlLine::parse(line);
-        // Blanks between statements are of none.
+        // Blanks between statements belong to none of them.
         let own = if is_free { line.trim_ascii_end() } else { line };
         let end = start + own.len() as u64;
         let is_right = match kind {
@@ -131,7 +132,7 @@ fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
             StlLine::Other => true,
             StlLine::Unknown => false,
         };
-        // What stands behind a statement would be of it.
+        // Further words behind a statement would count as part of it.
         let is_whole = || !is_free || kind.words(line).is_none_or(|words| words_of(line).count() == words);
         if !is_right || !is_whole() {
             let what = wrong_statement(kind, line, facets, builder.vertices());
@@ -259,7 +260,7 @@ impl Grammar for StlLines {
     }
 }
 
-/// Where up to as many words stand in a line as there are places, after so many others.
+/// Finds up to as many words of a line as `spans` has places, after the first `others` words.
 fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
     let mut at = 0;
     for i in 0..others + 3 {
@@ -271,7 +272,7 @@ fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
     }
 }
 
-/// Where the numbers of the last facet's normal stand in a part of a chunk, and what it is.
+/// Places of the numbers of the last facet's normal in a part of a chunk, and the normal.
 fn facet_normal(raw: &[u8], part: Range<usize>, ends: LineEnds) -> Option<([[usize; 2]; 3], DVec3)> {
     let bytes = &raw[part.clone()];
     let (start, end) =
@@ -283,7 +284,7 @@ fn facet_normal(raw: &[u8], part: Range<usize>, ends: LineEnds) -> Option<([[usi
     Some((words, DVec3::new(x?, y?, z?)))
 }
 
-/// As many digits as the normal has; six if it was along an axis, and had none.
+/// Digits of a new normal: as many as the old one has; six if the old one was along an axis, and had none.
 fn normal_digits(words: &[&[u8]; 3]) -> Digits {
     const FEW: usize = 4;
     const ENOUGH: usize = 6;

@@ -22,14 +22,15 @@ const CHUNK_FACETS: u64 = (CHUNK_VERTICES / 3) as u64;
 /// Bytes that are copied at once.
 const COPIED: usize = 4 << 20;
 
-/// The number of facets that the file says it has, if it is long enough to say so.
+/// Number of facets that the file declares, if the file is long enough to declare one.
 fn count(source: &SourceFile) -> Result<Option<u64>> {
     let mut count = [0; 4];
     let read = source.read_at(&mut count, START - 4)?;
     Ok((read == count.len()).then(|| u64::from(u32::from_le_bytes(count))))
 }
 
-/// Whether the file is just as long as its number of facets says: text is not, by any chance.
+/// Whether the file is just as long as its number of facets implies: a text never is, but by a very rare
+/// chance.
 pub(super) fn has_its_length(source: &SourceFile) -> Result<bool> {
     Ok(count(source)?.is_some_and(|count| START + FACET * count == source.len()))
 }
@@ -99,7 +100,7 @@ fn put(bytes: &mut [u8], value: Vec3) {
     }
 }
 
-/// Where a corner of a facet stands in it.
+/// Range of a corner's bytes in its facet.
 fn corner(i: usize) -> Range<usize> {
     12 * (i + 1)..12 * (i + 2)
 }

@@ -6,14 +6,14 @@ use glam::DVec3;
 
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
-/// Where the first facet begins.
+/// Byte at which the first facet begins.
 pub(super) const START: u64 = 84;
 
 /// Bytes of a facet.
 pub(super) const FACET: u64 = 50;
 
-/// The normal of a facet with these corners, on the side of the corners where the file's normal is on that of
-/// the corners at rest. `None` where the file's one is to be kept: it is zero or no number, or the corners
+/// Normal of a facet with these corners, on the side of the corners where the file's normal is on that of the
+/// corners at rest. `None` where the file's normal is to be kept: it is zero or not finite, or the corners
 /// span no plane.
 pub(super) fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<DVec3> {
     let of = |[a, b, c]: [DVec3; 3]| {
@@ -28,8 +28,8 @@ pub(super) fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<
     of(moved).map(|moved| moved * side)
 }
 
-/// The triangles of facets: nothing has to be read. A facet's place is where it is in a binary file; in a
-/// text, where it would be.
+/// Triangles of facets, for which nothing has to be read. The place of a facet is its byte in a binary file;
+/// for a text, the byte that it would have there.
 pub(super) struct Facets {
     /// The ranges that are still to come.
     ranges: std::vec::IntoIter<Range<u64>>,

@@ -12,7 +12,7 @@ mod facets;
 use crate::source::SourceFile;
 use crate::{Model, Result};
 
-/// Opens a file that is STL by its content, or if its name says so.
+/// Opens a file that is STL by its content, or by its name.
 pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     if !binary::has_its_length(&source)? && ascii::is_text(&source)? {
         return ascii::open(source);
@@ -20,7 +20,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     Ok(Box::new(binary::BinaryStl::new(source)?))
 }
 
-/// Whether the content says that a file is STL.
+/// Whether the content of a file is STL.
 pub(crate) fn is_stl(source: &SourceFile) -> Result<bool> {
     Ok(binary::has_its_length(source)? || ascii::is_text(source)?)
 }

@@ -1,8 +1,8 @@
-//! Where vertices lie in a text file: found in one pass when it is opened, so that reading begins anywhere
-//! near a vertex afterwards.
+//! Blocks of a text file: the places of its vertices, found in one pass when the file is opened, so that
+//! reading begins anywhere near a vertex afterwards.
 //!
-//! A block is a run of whole vertices (of their lines, and of what stands before each) or a gap: many bytes
-//! without any. What block a byte belongs to depends on the file alone.
+//! A block is a run of whole vertices (of their lines, and of the lines before each) or a gap: many bytes
+//! without any. The block that a byte belongs to depends on the file alone.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use super::lines::wrong_line;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Error, Result};
 
-/// Bytes without a vertex from which on they are a gap.
+/// Number of bytes without a vertex from which on they are a gap.
 pub(crate) const GAP: u64 = 1 << 18;
 
 /// A block ends with the vertex that reaches this many bytes.
@@ -25,7 +25,8 @@ const CHUNK_BYTES: u64 = 4 << 20;
 /// of the file on average.
 #[derive(Debug, Default)]
 pub(crate) struct TextBlocks {
-    /// The first vertex of each block and where it begins, ascending; at last, the end of the last one.
+    /// First vertex of each block and the byte at which the block begins, ascending; at last, the end of the
+    /// last one.
     entries: Vec<(u64, u64)>,
 }
 
@@ -35,7 +36,7 @@ impl TextBlocks {
         self.entries.last().map_or(0, |e| e.0)
     }
 
-    /// Where the last vertex ends, or the first one would begin.
+    /// Byte at which the last vertex ends, or the first one would begin.
     pub(crate) fn end(&self) -> u64 {
         self.entries.last().map_or(0, |e| e.1)
     }
@@ -50,14 +51,14 @@ impl TextBlocks {
         self.entries.partition_point(|e| e.0 <= vertex).saturating_sub(1)
     }
 
-    /// The block that holds a byte: how many vertices come before it, and where it begins. `None` before the
-    /// first one.
+    /// The block that holds a byte: the number of vertices before it, and the byte at which it begins. `None`
+    /// before the first one.
     pub(crate) fn of_byte(&self, offset: u64) -> Option<(u64, u64)> {
         let after = self.entries.partition_point(|e| e.1 <= offset);
         self.entries[..after].last().copied()
     }
 
-    /// Some blocks, spread over the file.
+    /// Ranges of the vertices and of the bytes of some blocks, spread over the file.
     pub(crate) fn spread(&self, most: usize) -> impl Iterator<Item = (Range<u64>, Range<u64>)> + '_ {
         let step = self.entries.len().div_ceil(most).max(1);
         let of = |e: &[(u64, u64)]| (e[0].0..e[1].0, e[0].1..e[1].1);
@@ -76,7 +77,7 @@ pub(crate) struct TextBlocksBuilder {
     spacing: u64,
     /// A block ends where so many vertices are complete.
     unit: u64,
-    /// What comes before the next vertex is a gap, however short.
+    /// Whether the bytes before the next vertex are a gap, however short.
     is_separate: bool,
 }
 
@@ -95,12 +96,12 @@ impl TextBlocksBuilder {
         self.vertices
     }
 
-    /// Where the last vertex ends.
+    /// Byte at which the last vertex ends.
     pub(crate) fn end(&self) -> u64 {
         self.end
     }
 
-    /// What comes between the last vertex and the next one is a gap, however short.
+    /// Makes the bytes between the last vertex and the next one a gap, however short.
     pub(crate) fn separate(&mut self) {
         self.is_separate = true;
     }
@@ -120,7 +121,7 @@ impl TextBlocksBuilder {
         (self.vertices, self.end) = (self.vertices + 1, end);
     }
 
-    /// Ends the block, unless there is nothing in it.
+    /// Ends the current block, unless it is empty.
     fn close(&mut self) {
         if self.entries.last().is_some_and(|e| e.0 < self.vertices) {
             self.entries.push((self.vertices, self.end));
@@ -157,7 +158,7 @@ impl TextBlocksBuilder {
 
 /// Goes over the bytes of a range of vertices.
 ///
-/// Memory: a block, where it is read in parts.
+/// Memory: a block, where the block is read in parts.
 pub(crate) struct BlockReader<'a> {
     source: &'a SourceFile,
     blocks: &'a TextBlocks,
@@ -165,7 +166,8 @@ pub(crate) struct BlockReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// A block that was read, what of it was taken, and the vertex that comes next in it.
+    /// Bytes of the block that was read ahead, the number of those that were taken, and the vertex that comes
+    /// next in it.
     ahead: Vec<u8>,
     ahead_at: usize,
     ahead_next: u64,
@@ -189,7 +191,7 @@ impl<'a> BlockReader<'a> {
         self.range.start
     }
 
-    /// Where in the file the block begins that holds the next vertex, if there is one.
+    /// Byte of the file at which the block with the next vertex begins, if there is one.
     pub(crate) fn next_start(&self) -> Option<u64> {
         let block = self.blocks.of_vertex(self.range.start);
         (!self.range.is_empty()).then(|| self.blocks.entries[block].1)
@@ -265,16 +267,16 @@ impl<'a> BlockReader<'a> {
     }
 }
 
-/// The bytes of a file in its order: vertices, and what is between and after them.
+/// Bytes of a file in its order: vertices, and the bytes between and behind them.
 pub(crate) struct BlockPieces<'a> {
     reader: BlockReader<'a>,
-    /// Where the next piece begins.
+    /// Byte of the file at which the next piece begins.
     at: u64,
 }
 
 /// A piece of the file: vertices, or bytes between them.
 pub(crate) enum BlockPiece {
-    /// So many vertices, from this one on.
+    /// First vertex of the piece, and the number of its vertices.
     Vertices(u64, u64),
     /// Bytes to be copied.
     Bytes,
@@ -283,7 +285,7 @@ pub(crate) enum BlockPiece {
 }
 
 impl<'a> BlockPieces<'a> {
-    /// All of a file, in chunks of at most so many vertices.
+    /// Pieces of the whole file, in chunks of at most so many vertices.
     pub(crate) fn new(source: &'a SourceFile, blocks: &'a TextBlocks, chunk: usize) -> Self {
         let mut reader = BlockReader::new(source, blocks, 0..u64::MAX);
         reader.set_chunk(chunk);
@@ -314,7 +316,7 @@ impl<'a> BlockPieces<'a> {
     }
 }
 
-/// An error where a file is not what it was when it was opened.
+/// Error of a file that has changed since it was opened.
 pub(crate) fn changed(source: &SourceFile) -> Error {
     Error::changed_while_read(source.path())
 }
@@ -374,7 +376,7 @@ mod tests {
             ends.iter().for_each(|(start, end)| builder.vertex(*start, *end));
             let blocks = builder.finish();
             prop_assert_eq!(blocks.vertices(), ends.len() as u64);
-            // All of it, as pieces.
+            // The whole file is read, as pieces.
             let (mut pieces, mut raw) = (BlockPieces::new(&source, &blocks, chunk), Vec::new());
             let (mut all, mut seen, mut of_vertices) = (Vec::new(), 0, Vec::new());
             loop {
@@ -393,7 +395,7 @@ mod tests {
                 all.extend_from_slice(&raw);
             }
             prop_assert!(all == text && seen == ends.len() as u64);
-            // A part of it; what is read of vertices does not depend on the chunks.
+            // A part of the vertices is read, whose bytes do not depend on the chunks.
             let from = (middle * seen as f64) as u64;
             for range in [0..from, from..seen, from..seen.min(from + 7), 0..seen] {
                 let mut reader = BlockReader::new(&source, &blocks, range.clone());

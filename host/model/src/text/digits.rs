@@ -25,7 +25,7 @@ pub(crate) struct Survey {
     mantissa: usize,
     /// The least and the largest number for each coordinate.
     ranges: [(f64, f64); 3],
-    /// The largest one without its sign.
+    /// The largest magnitude of the numbers.
     largest: f64,
 }
 
@@ -36,7 +36,7 @@ impl Default for Survey {
 }
 
 impl Survey {
-    /// Takes a number of the coordinate that has this index.
+    /// Includes a number of the coordinate that has this index.
     pub(crate) fn take(&mut self, coordinate: usize, word: &[u8]) {
         let Some(value) = text::parse(crate::Scalar::F64, word).filter(|v| v.is_finite()) else { return };
         let range = &mut self.ranges[coordinate % 3];
@@ -48,7 +48,7 @@ impl Survey {
         }
     }
 
-    /// The largest number without its sign.
+    /// Largest magnitude of the numbers.
     pub(crate) fn largest(&self) -> f64 {
         self.largest
     }
@@ -77,7 +77,7 @@ fn decimals_of(word: &[u8]) -> (usize, Option<u8>) {
 }
 
 impl Digits {
-    /// More than these tell nothing more of a double.
+    /// Most digits: further ones add nothing to a double.
     const MOST: usize = 17;
 
     /// The most that some words have.
@@ -101,7 +101,7 @@ impl Digits {
     }
 }
 
-/// As C writes it: with a sign and two digits at least in the exponent.
+/// Writes a number as C does: with a sign and two digits at least in the exponent.
 fn write_scientific(to: &mut Vec<u8>, value: f64, decimals: usize, letter: u8) {
     let start = to.len();
     // Writing to a vector cannot fail.
@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(written(cube, "1", 1.0 / 3.0), "0.3333333");
         let none = surveyed(&["7", "7", "7"]);
         assert_eq!(written(none, "7", 8.0), "8");
-        // Whole numbers over a long way are what they are: a grid.
+        // Whole numbers over a long extent are a grid, and stay one.
         let grid = surveyed(&["0", "0", "0", "4000", "4000", "30"]);
         assert_eq!(written(grid, "0", 17.3), "17");
     }

@@ -13,7 +13,7 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// The lines with faces of a format.
 pub(crate) trait FaceLines: Send {
-    /// The ends of its lines.
+    /// Way in which the lines of the format end.
     const ENDS: LineEnds = LineEnds::Breaks;
 
     /// Reading goes on at this byte of the file.
@@ -21,10 +21,10 @@ pub(crate) trait FaceLines: Send {
         Ok(())
     }
 
-    /// Where in a line its corners begin, if it is a face. Lines come in the file's order.
+    /// Byte of a line at which its corners begin, if the line is a face. Lines come in the file's order.
     fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String>;
 
-    /// The next corner of a face from `at` on, which goes behind it; `None` if there is no more.
+    /// Returns the next corner of a face from `at` on, and moves `at` behind it; `None` if there is no more.
     fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String>;
 }
 
@@ -36,7 +36,8 @@ pub(crate) struct LineFaces<'a, P> {
     parser: P,
     lines: Lines<'a>,
     ranges: std::vec::IntoIter<Range<u64>>,
-    /// The face that is being read, what of it was, and where it begins in the file.
+    /// Line of the face that is being read, the part of it that was read, and the byte of the file at which
+    /// it begins.
     line: Vec<u8>,
     at: usize,
     start: u64,

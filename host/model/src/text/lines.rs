@@ -4,7 +4,7 @@ use super::next_word;
 use crate::source::SourceFile;
 use crate::{Error, Result};
 
-/// Longest line: what goes on longer is no text that can be worked on.
+/// Longest line: a text with a longer one is refused.
 pub(crate) const MAX_LINE: usize = 16 << 20;
 
 /// Bytes read at a time.
@@ -21,7 +21,7 @@ pub(crate) fn without_mark(start: &[u8]) -> &[u8] {
     start.strip_prefix(MARK).unwrap_or(start)
 }
 
-/// Where in a file the first line of its text begins: behind the mark of UTF-8, if there is one.
+/// Byte of the file at which the first line of its text begins: behind the mark of UTF-8, if there is one.
 ///
 /// # Errors
 /// The file cannot be read; it is UTF-16, or ends in bytes of zero, as one does whose writing was cut short.
@@ -50,15 +50,15 @@ fn check_end(source: &SourceFile) -> Result<()> {
     Err(source.malformed(what, "writing the file was cut short: copy or export it again"))
 }
 
-/// What ends the lines of a format.
+/// Way in which the lines of a format end.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum LineEnds {
-    /// Each line feed, and each carriage return.
+    /// A line ends with each line feed, and with each carriage return.
     Breaks,
-    /// Ends of lines before which no backslash stands, but of a comment, which may end in one as the path of
-    /// a folder does.
+    /// A line ends at a break before which no backslash stands; but a comment, which may end in a backslash
+    /// as the path of a folder does, ends at each break.
     Continued,
-    /// The next word that is one with which statements begin: breaks are blanks as others.
+    /// A statement ends before the next word with which a statement begins: breaks are blanks as others.
     Words(fn(&[u8]) -> bool),
 }
 
@@ -67,7 +67,7 @@ fn is_comment(bytes: &[u8]) -> bool {
     bytes.iter().find(|b| !matches!(b, b' ' | b'\t')) == Some(&b'#')
 }
 
-/// Where the first line of `bytes` ends, and what ends it with it; `None` if it may go on after them.
+/// Byte behind the first line of `bytes` and its line end; `None` if the line may go on after `bytes`.
 #[inline]
 pub(crate) fn line_end(bytes: &[u8], ends: LineEnds, whole_file: bool) -> Option<usize> {
     let continues = match ends {
@@ -99,7 +99,7 @@ pub(crate) fn line_end(bytes: &[u8], ends: LineEnds, whole_file: bool) -> Option
     }
 }
 
-/// Where the first statement of `bytes` ends: before the next word that begins one.
+/// Byte at which the first statement of `bytes` ends: before the next word that begins one.
 fn statement_end(bytes: &[u8], begins: fn(&[u8]) -> bool, whole_file: bool) -> Option<usize> {
     let mut at = next_word(bytes, 0, whole_file).map_or(bytes.len(), |(_, end)| end);
     loop {
@@ -131,14 +131,14 @@ fn count_lines(bytes: &[u8]) -> u64 {
 
 /// Goes over the lines of a part of a file.
 ///
-/// Memory: a block, or a line and what is read with it: 32 MiB at most.
+/// Memory: a block, or a line and the bytes that are read with it: 32 MiB at most.
 pub(crate) struct Lines<'a> {
     source: &'a SourceFile,
     ends: LineEnds,
     block: Vec<u8>,
-    /// Where in the block the next line begins.
+    /// Byte of the block at which the next line begins.
     at: usize,
-    /// Where in the file the block begins.
+    /// Byte of the file at which the block begins.
     offset: u64,
     /// The place beyond which nothing is read.
     end: u64,
@@ -149,12 +149,13 @@ impl<'a> Lines<'a> {
         Self { source, ends, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
     }
 
-    /// Where in the file the next line begins.
+    /// Byte of the file at which the next line begins.
     pub(crate) fn position(&self) -> u64 {
         self.offset + self.at as u64
     }
 
-    /// The next line, with what ends it, and where in the file it begins; `None` at the end.
+    /// Returns the byte of the file at which the next line begins, and the line with its end; `None` at the
+    /// end.
     #[inline]
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
         loop {
@@ -208,7 +209,7 @@ pub(crate) fn line_number(source: &SourceFile, offset: u64) -> Result<u64> {
         }
         at += read as u64;
         number += count_lines(&block);
-        // A carriage return at the block's end, and the line feed of it in the next one, are one end.
+        // A carriage return at the end of a block, and its line feed in the next block, are one end.
         let mut next = [0];
         if block.last() == Some(&b'\r') && source.read_at(&mut next, at)? == 1 && next == *b"\n" {
             number -= 1;
@@ -254,7 +255,7 @@ mod tests {
         let found: Vec<(usize, usize)> = lines(comments, LineEnds::Continued).collect();
         assert_eq!(found, [(0, 13), (13, 20), (20, 28)], "comments do not go on");
         for end in 0..text.len() {
-            // What may go on is not given before it is known.
+            // A line that may go on is not returned before its end is known.
             let mut at = 0;
             for line in plain {
                 let found = line_end(&text[at..end], LineEnds::Breaks, false);

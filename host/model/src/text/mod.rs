@@ -52,8 +52,8 @@ pub(crate) fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(us
     }
 }
 
-/// Drops a word that ends at `end` of `raw`, what stands before it being in `text` already: with the blanks
-/// before it, or at the start of a line with those behind it. Returns where to go on.
+/// Drops a word that ends at `end` of `raw`, where the bytes before the word are in `text` already: with the
+/// blanks before it, or at the start of a line with those behind it. Returns the byte to go on at.
 pub(crate) fn drop_word(text: &mut Vec<u8>, raw: &[u8], end: usize) -> usize {
     let is_blank = |byte: &u8| is_space(*byte) && !matches!(byte, b'\n' | b'\r');
     if text.last().is_some_and(is_blank) {
@@ -80,7 +80,7 @@ pub(crate) fn coordinate(scalar: Scalar, word: &[u8]) -> Option<f64> {
     parse(scalar, word).filter(|value| !value.is_infinite() || !word.iter().any(u8::is_ascii_digit))
 }
 
-/// Why a word is no [`coordinate`], for people, and what to do about it.
+/// Reason for which a word is no [`coordinate`], for people, and advice.
 #[cold]
 pub(crate) fn no_coordinate(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
     let text = quoted(&String::from_utf8_lossy(word));
@@ -99,12 +99,13 @@ pub(crate) fn no_normal(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
     (what, if hint == BEYOND { BEYOND_NORMAL } else { hint })
 }
 
-/// A number of a type, rounded to it if that is single precision.
+/// Number of a type, rounded to that type if it is single precision.
 pub(crate) fn number(kind: Type, word: &[u8]) -> Option<f64> {
     parse(if kind == Type::F32 { Scalar::F32 } else { Scalar::F64 }, word)
 }
 
-/// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.
+/// Whether a text is a number that is not finite as Microsoft's C library prints it: vertices with such
+/// numbers are left alone anyway.
 fn is_microsoft_nan(text: &str) -> bool {
     let text = text.strip_prefix(['-', '+']).unwrap_or(text).to_ascii_lowercase();
     text.starts_with("1.#") || text.starts_with("nan(")
@@ -124,8 +125,8 @@ pub(crate) fn integer(word: &[u8]) -> Option<i64> {
     Some(if negative { -value } else { value })
 }
 
-/// Whether a word is a whole number of which doubles do not hold all digits; those of large numbers that are
-/// doubles, as 10^30, come back.
+/// Whether a word is a whole number of which double precision does not hold all digits. The digits of a large
+/// number that is a double, as 10^30, come back, and it does not count.
 pub(crate) fn is_beyond_doubles(word: &[u8]) -> bool {
     if integer(word).is_none_or(|value| value.unsigned_abs() <= 1 << 53) {
         return false;
@@ -136,7 +137,8 @@ pub(crate) fn is_beyond_doubles(word: &[u8]) -> bool {
     format!("{double:.0}") != text && format!("{double}") != text
 }
 
-/// Whether there are as many digits in a row as such a number has: one of them is at a multiple of that.
+/// Whether a text has as many digits in a row as a number beyond doubles has at least: one of these digits is
+/// at a multiple of that count.
 pub(crate) fn has_many_digits(text: &[u8]) -> bool {
     const MANY: usize = 16;
     (0..text.len()).step_by(MANY).filter(|at| text[*at].is_ascii_digit()).any(|at| {
@@ -146,8 +148,8 @@ pub(crate) fn has_many_digits(text: &[u8]) -> bool {
     })
 }
 
-/// Whether a line may have a number beyond doubles: one with an exponent of three digits, or with that many
-/// digits. Hardly any has.
+/// Whether a line may have a number beyond all doubles: one with an exponent of three digits, or with more
+/// than 308 digits. Hardly any line has.
 #[inline]
 pub(crate) fn may_be_beyond(line: &[u8]) -> bool {
     let is_large = |at: usize| line[at + 1..].iter().take(4).filter(|b| b.is_ascii_digit()).count() >= 3;

@@ -30,13 +30,13 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Extensions that names of such files have.
     const EXTENSIONS: &'static [&'static str];
 
-    /// The ends of its lines.
+    /// Way in which the lines of the format end.
     #[inline(always)]
     fn ends(&self) -> LineEnds {
         LineEnds::Breaks
     }
 
-    /// What the user said that the columns are.
+    /// Columns as the user named them.
     fn wanted(&self) -> Option<&str> {
         None
     }
@@ -46,12 +46,12 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         3
     }
 
-    /// What the file has that is given nowhere, as [`Model::besides`] says.
+    /// Content of the file that is not read, as [`Model::besides`] has it.
     fn besides(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Is told which attributes turn with the surface: their numbers come behind the components.
+    /// Sets the attributes that turn with the surface: their numbers come behind the components.
     fn follow(&mut self, _attributes: &[usize]) {}
 
     /// Numbers of a vertex whose places are noted: its components, and those that turn.
@@ -62,7 +62,8 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Whether a line is a vertex.
     fn is_vertex(&self, line: &[u8]) -> bool;
 
-    /// Notes where a vertex' numbers stand in its line. Those that are missing are left as they are.
+    /// Notes the places of a vertex' numbers in its line. The places of numbers that are missing are left as
+    /// they are.
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]);
 
     /// Whether a line has a cell for a component, which may be empty.
@@ -85,7 +86,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         count
     }
 
-    /// Where so many vertices end in bytes that begin with them.
+    /// Byte at which the first `count` vertices of `bytes` end.
     fn cut(&self, bytes: &[u8], count: u64) -> Option<usize> {
         let (mut at, mut left) = (0, count);
         while left > 0 {
@@ -119,7 +120,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         Ok(Box::new(NoFaces))
     }
 
-    /// What to do about normals that shall be left out, which no such file can.
+    /// Advice about normals that shall be left out, which is not possible in such a file.
     fn without_normals(&self) -> &'static str {
         "keep the normals, or have them transformed; or export the model without them"
     }
@@ -131,20 +132,20 @@ pub(crate) struct TextModel<G> {
     pub(crate) source: SourceFile,
     pub(crate) grammar: G,
     pub(crate) blocks: TextBlocks,
-    /// What of the attributes turns with the surface.
+    /// Attributes that turn with the surface.
     following: Following,
     /// The digits of each of a vertex' numbers.
     pub(crate) digits: Vec<Digits>,
     pub(crate) info: ModelInfo,
 }
 
-/// What is known of a text file, but for its vertices.
+/// Info on a text file, but for its vertices.
 pub(crate) fn info(source: &SourceFile, format: String) -> ModelInfo {
     ModelInfo { format, position_type: Scalar::F64, bytes: source.len(), ..ModelInfo::default() }
 }
 
 impl<G: Grammar> TextModel<G> {
-    /// A file whose vertices lie in these blocks.
+    /// Model of a file whose vertices lie in these blocks.
     pub(crate) fn new(source: SourceFile, grammar: G, blocks: TextBlocks, info: ModelInfo) -> Result<Self> {
         let info = ModelInfo {
             vertices: blocks.vertices(),
@@ -158,14 +159,15 @@ impl<G: Grammar> TextModel<G> {
         Ok(model)
     }
 
-    /// Has the places and the digits of all numbers noted that are written anew.
+    /// Notes the places and the digits of all numbers that are written anew.
     fn note_what_follows(&mut self) -> Result<()> {
         self.grammar.follow(self.following.places());
         self.digits = self.survey()?;
         Ok(())
     }
 
-    /// The numbers of a vertex that have as many digits: its position, its normal, and what turns together.
+    /// Ranges of a vertex' numbers that have as many digits: its position, its normal, and the numbers that
+    /// turn together.
     fn sorts(&self) -> Vec<Range<usize>> {
         let components = self.grammar.components();
         let following = self.following.groups().map(|group| group.start + components..group.end + components);
@@ -199,7 +201,7 @@ impl<G: Grammar> TextModel<G> {
             let extent = match sort.start {
                 0 => None,
                 first if first < components => Some(1.0),
-                // What turns may be any share of its length along any axis.
+                // A component of a vector that turns may become any share of the vector's length.
                 _ => Some(survey.largest()),
             };
             vec![survey.digits(extent); sort.len()]
@@ -238,7 +240,7 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// What stands where a component is no number: nothing, in a cell that is empty.
+    /// Value of a component without a number: NaN where the cell is empty, or else an error.
     #[cold]
     fn no_number(&self, vertex: u64, component: usize, raw: &[u8], span: [u32; 2]) -> Result<f64> {
         let found = word(raw, span);
@@ -257,8 +259,8 @@ impl<G: Grammar> TextModel<G> {
         Err(self.wrong_vertex(vertex, what, DAMAGED))
     }
 
-    /// An error about a byte of zero in a chunk that begins with the vertex `first`. Where a disk was full,
-    /// such are instead of what was written: nobody knows how many vertices.
+    /// Error about a byte of zero in a chunk that begins with the vertex `first`. Where a disk was full, such
+    /// bytes stand instead of the text: the number of vertices is unknown then.
     #[cold]
     fn zero_byte(&self, first: u64, raw: &[u8], at: usize) -> Error {
         let (mut vertex, mut is_in) = (first, false);
@@ -279,7 +281,7 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// An error about a vertex, which names its line.
+    /// Error about a vertex, with the number of its line.
     fn wrong_vertex(&self, vertex: u64, what: String, hint: &str) -> Error {
         match self.place_of(vertex) {
             Ok(Some(offset)) => wrong_line(&self.source, offset, what, hint),
@@ -288,8 +290,8 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// The bytes of the block that holds a vertex, where they begin, and how many vertices come before it
-    /// there.
+    /// Bytes of the block that holds a vertex, the byte of the file at which they begin, and the number of
+    /// vertices before this one in the block.
     fn block_of(&self, vertex: u64) -> Result<Option<(Vec<u8>, u64, u64)>> {
         let Some((of, bytes)) = self.blocks.spread(usize::MAX).find(|block| block.0.contains(&vertex)) else {
             return Ok(None);
@@ -299,7 +301,7 @@ impl<G: Grammar> TextModel<G> {
         Ok(Some((raw, bytes.start, vertex - of.start)))
     }
 
-    /// Where in the file the last byte of a vertex is.
+    /// Byte of the file at which the last byte of a vertex is.
     fn place_of(&self, vertex: u64) -> Result<Option<u64>> {
         let Some((raw, begin, before)) = self.block_of(vertex)? else { return Ok(None) };
         let end = self.grammar.cut(&raw, before + 1);
@@ -390,7 +392,8 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// Makes the lists what a vertex' numbers that turn were, and what they become; empty where they stay.
+    /// Fills the lists with the old and the new numbers of a vertex that turn; they are empty where the
+    /// numbers stay.
     fn turn(
         &self,
         vertex: usize,
@@ -521,7 +524,7 @@ impl<G: Grammar> Model for TextModel<G> {
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
-        // All of it was looked at when it was opened.
+        // The whole file was read when it was opened.
         self.source.check_unchanged()
     }
 

@@ -43,7 +43,7 @@ fn any_separator_and_header_are_understood() {
         ("easting,northing,height,\"a, b\"\n1,-2.5,3e2,\"q, r\"\n4,5,6,\"\"\n", ".csv"),
         ("\u{feff}1,-2.5,3e2\n4,5,6\n", ".csv"),
         ("\u{feff}y|x|z\n-2.5|1|3e2\n5| 4 |6\n", ".txt"),
-        // As spreadsheets are told what separates columns.
+        // A line that tells spreadsheets the separator.
         ("sep=;\r\nx;y;z\r\n1;-2.5;3e2\r\n4;5;6\r\n", ".csv"),
         ("\u{feff}SEP=,\n1,-2.5,3e2\n4,5,6\n", ".csv"),
         ("2\n1 -2.5 3e2\n4 5 6\n", ".pts"),
@@ -72,12 +72,12 @@ fn columns_are_named_by_who_knows() {
     assert_eq!(names(model.as_ref()), ["a"]);
     assert_eq!(model.info().other_properties, ["a", "a", "word"]);
     assert_eq!(attributes(model.as_ref()), [[4.0, 1.0]]);
-    // Which are read by nobody is told.
+    // Columns that nobody reads are told.
     let unread = ["the column \"a\", which is no attribute", "the column \"word\", which is no attribute"];
     assert_eq!(model.besides().unwrap(), unread);
 }
 
-/// As pandas writes what is no number.
+/// An empty cell, as pandas writes for a missing number, is no number.
 #[test]
 fn an_empty_cell_is_no_number() {
     let model = check_whole(b"x,y,z,a,b\n1,2,3,4,\"\"\n5,6,7,,9\n", ".csv");
@@ -168,14 +168,14 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("3\n1 2 3\n4 5 6\n", ".pts"), "says that it has 3 points, but it has 2");
     assert_eq!(bad("1\n1 2 3\nmore\n", ".pts"), "line 3: \"more\" is no number of points");
     assert_eq!(bad("1,5;2,5;3,5\n", ".csv"), "there is no line of numbers in it");
-    // As some programs of Windows have text, in either byte order.
+    // Text in UTF-16, as some programs of Windows write it, in either byte order.
     let units: Vec<u16> = "\u{feff}x,y,z\n1,2,3\n".encode_utf16().collect();
     for bytes in [u16::to_le_bytes, u16::to_be_bytes].map(|bytes| units.iter().copied().flat_map(bytes)) {
         let utf16 = go_over(&bytes.collect::<Vec<u8>>(), ".csv").unwrap_err();
         assert!(utf16.to_string().ends_with("a text in UTF-16"), "{utf16}");
         assert!(utf16.hint().starts_with("save it as UTF-8"), "{}", utf16.hint());
     }
-    // As a full disk leaves them.
+    // Bytes of zero, as a full disk leaves them.
     assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
     assert_eq!(bad("1 2 3\n\n\0\0\0\n4 5 6\n", ".xyz"), "line 3: a byte of zero before vertex 1");
     let lines = "1 2 3\r\n".repeat(5000);
@@ -188,7 +188,8 @@ fn what_is_wrong_is_named_with_its_line() {
     let commas = go_over(b"x;y;z\n1,5;2,5;3,5\n", ".csv").unwrap_err();
     assert!(commas.hint().starts_with("write decimals with points"), "{}", commas.hint());
     assert_eq!(bad("1 2 3\n4 1e999 6\n", ".xyz"), "line 2: vertex 1: \"1e999\" is beyond the type double");
-    // What is written as no number makes a vertex without a position; attributes are not looked at.
+    // A coordinate written as infinite or NaN makes a vertex without a position; attributes are not looked
+    // at.
     go_over(b"inf 2 3 1e999\n4 nan 6 1e999\n-1.#IND 0 0 1e999\n", ".xyz").unwrap();
 }
 

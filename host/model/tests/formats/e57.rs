@@ -113,13 +113,13 @@ struct MadeScan {
     has_others: bool,
 }
 
-/// Where the XML goes.
+/// Place of the XML in the file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum At {
     End,
-    /// Before the points: its places are found by trying.
+    /// The XML is before the points: its places are found by trying.
     Start,
-    /// With something behind it.
+    /// The XML is before other content at the end.
     BeforeEnd,
 }
 
@@ -243,7 +243,7 @@ fn packets(scan: &MadeScan, share: &mut impl FnMut(usize) -> usize) -> Vec<u8> {
     section
 }
 
-/// All points of all scans, as the crate reads them, in bits; and what else it knows.
+/// Points of all scans, as the crate reads them, in bits; and the scans as the crate knows them.
 fn by_crate(bytes: &[u8]) -> (Vec<Vec<Vec<u64>>>, Vec<::e57::PointCloud>) {
     let clouds = E57Reader::new(Cursor::new(bytes)).unwrap().pointclouds();
     let bits = |(value, record): (&RecordValue, &Record)| match (value, &record.data_type) {
@@ -471,7 +471,7 @@ fn what_moves_moves_and_all_else_stays() {
         let expected: Vec<DVec3> = old.iter().map(|p| if p.is_finite() { shear(*p) } else { *p }).collect();
         let bound = |i: usize| [1e-8, 0.001, 4e-6][i / count];
         check_near(&positions(&scans, &after), &expected, bound);
-        // What was written can be read again, and moved back.
+        // The written file can be read again, and its points moved back.
         let again = open(&out, ".e57").unwrap();
         check_near(&read(again.as_ref()).unwrap().0, &expected, bound);
         check_bounds(&after, &clouds);
@@ -611,7 +611,7 @@ fn what_does_not_fit_the_bits_is_an_error_that_says_so() {
     assert_eq!(error, "the deformation moves vertex 0 to NaN");
 }
 
-/// Where each point goes.
+/// New position of each point.
 type Motion = Box<dyn Fn(DVec3) -> DVec3 + Sync>;
 
 #[test]
@@ -655,7 +655,7 @@ fn angles_get_other_ranges_where_their_bits_allow() {
             assert!((*wanted - *found).length() < 0.02, "{field}: {found} for {wanted}");
         }
     }
-    // As far apart as no range of so many bits is wide, and next to others that stay.
+    // Points are farther apart than any range of so many bits is wide, and next to others that stay.
     let mut model = open(&bytes, ".e57").unwrap();
     let before = read(model.as_ref()).unwrap().0;
     let moves: Vec<[DVec3; 2]> =
@@ -760,7 +760,7 @@ fn declared_numbers_turn_in_their_scan() {
     let error = message(model.follow(&follow("w")));
     assert!(error.contains("w_x, w_y, w_z"), "{error}");
     model.follow(&follow("nor:v")).unwrap();
-    // What stands still keeps all bytes.
+    // Points that stand still keep all bytes.
     assert!(move_points(model.as_ref(), |p| p).unwrap() == bytes);
     let gradient =
         Mat3::from_cols(Vec3::new(0.1, 1.2, 0.0), Vec3::new(-0.9, 0.1, 0.3), Vec3::new(0.0, 0.1, 1.1));
@@ -890,7 +890,7 @@ fn what_is_wrong_is_named() {
     assert!(error.hint().starts_with("register the scan once more"), "{}", error.hint());
 }
 
-/// Goes over a file without minding what comes of it, but for panics.
+/// Reads and rewrites a file, in which any error is fine, but no panic.
 fn survive(logical: &[u8]) {
     let _ = go_over(&paged(logical), ".e57");
 }

@@ -49,7 +49,7 @@ impl Glb {
         self.accessors.len() - 1
     }
 
-    /// Rows of floats as an accessor of their own.
+    /// Adds rows of floats as an accessor of their own.
     fn floats(&mut self, rows: &[Vec<f32>], rest: &str) -> usize {
         let view = self.view(&floats(rows), None);
         let shape = ["", "SCALAR", "VEC2", "VEC3", "VEC4"][rows[0].len()];
@@ -117,7 +117,7 @@ fn glb(json: &str, bin: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Members of an accessor that say how far these reach.
+/// Members of an accessor that give the least and the largest numbers of these points.
 fn limits(points: &[Vec3]) -> String {
     let corner = |of: fn(Vec3, Vec3) -> Vec3| {
         let corner = points.iter().copied().reduce(of).unwrap().to_array();
@@ -356,7 +356,7 @@ fn a_motion_changes_what_it_should_and_nothing_else() {
         change(at, 12, 40, 12);
         change(at + 480, 16, 20, 16);
         assert!((0..of_old.len()).all(|i| changed[i] || of_old[i] == of_new[i]));
-        // And all text but numbers.
+        // All text but numbers is kept.
         let text = |bytes: &[u8]| {
             let json = &bytes[20..20 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize];
             let mut text = String::from_utf8(json.to_vec()).unwrap().trim_end().to_string();
@@ -692,7 +692,7 @@ fn a_gltf_with_its_buffers_becomes_a_glb() {
     let marked = format!("\u{feff}{}", glb.json(&data));
     let model = open(marked.as_bytes(), ".gltf").unwrap();
     assert_eq!(read(model.as_ref()).unwrap().0, read(whole.as_ref()).unwrap().0);
-    // What is not there, or too short, or elsewhere.
+    // Buffers that are missing, too short, or elsewhere.
     let path = folder.path().join("bad.gltf");
     for (uri, says) in [
         ("missing.bin", "buffer 0, \"missing.bin\""),
@@ -763,7 +763,7 @@ fn sparse_accessors_become_plain() {
             document["accessors"][0].get("sparse").is_none()
                 && document["bufferViews"].as_array().unwrap().len() == 5
         );
-        // What they were made of is still there.
+        // The data that the sparse accessors were made of are still there.
         let (_, old) = parts(&bytes);
         assert!(data.starts_with(&old[..made.bin.len()]));
         check_whole(&moved, ".glb");

@@ -22,17 +22,17 @@ use super::Written;
 
 const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
-/// How points are compressed.
+/// Compression of the points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Packing {
     Plain,
-    /// So many points in each block.
+    /// Blocks of so many points each.
     Fixed(u32),
     /// Blocks of different sizes, around so many points.
     Variable(usize),
 }
 
-/// Where the table of blocks is said to be.
+/// Place of the table of blocks that the file tells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Table {
     AtFront,
@@ -46,7 +46,7 @@ struct Spec {
     minor: u8,
     format: u8,
     extra: usize,
-    /// What is said of extra bytes, if not that the first one is a number.
+    /// Descriptions of the extra bytes, if not that the first one is a number.
     described: Vec<u8>,
     scale: DVec3,
     offset: DVec3,
@@ -55,7 +55,7 @@ struct Spec {
     /// Contents of EVLRs, and what follows behind them.
     evlrs: Vec<Vec<u8>>,
     copc: bool,
-    /// How points are compressed, if not as usual.
+    /// Items of the points' compression, if not the usual ones.
     items: Option<Vec<LazItem>>,
     behind: Vec<u8>,
 }
@@ -215,7 +215,7 @@ impl Spec {
         bytes
     }
 
-    /// By the other library.
+    /// Appends the records, compressed by the other library.
     fn pack(&self, records: &[u8], bytes: &mut Vec<u8>) {
         let mut cursor = Cursor::new(std::mem::take(bytes));
         cursor.set_position(cursor.get_ref().len() as u64);
@@ -445,7 +445,7 @@ fn what_is_read_is_what_is_there() {
     }
 }
 
-/// As programs did before WKT, where a system had no code.
+/// A coordinate system without a code has its name in GeoKeys, as programs wrote it before WKT.
 #[test]
 fn a_coordinate_system_without_a_code_has_its_name() {
     let mut built = Spec::new(2, 1).build(&hills(10));
@@ -475,7 +475,7 @@ fn a_coordinate_system_without_a_code_has_its_name() {
     assert_eq!(crs(&[[1026, 34737, 9999, 10]], texts).as_deref(), Some("my own"));
 }
 
-/// What GeoKeys, and systems in WKT that say nothing, tell of units.
+/// Units from GeoKeys, and from WKT that tells nothing itself.
 #[test]
 fn units_are_told_as_far_as_they_are_declared() {
     let mut built = Spec::new(2, 1).build(&hills(10));
@@ -580,7 +580,7 @@ fn check_moved(spec: &Spec, positions: &[[i32; 3]], map: impl Fn(DVec3) -> DVec3
     assert!(after.vlrs.iter().eq(before.vlrs.iter().filter(keeps)));
     assert!(after.evlrs.iter().eq(before.evlrs.iter().filter(keeps)));
     assert!(out.ends_with(&spec.behind));
-    // And we read what we wrote.
+    // The file that was written can be read.
     let file = file(&out);
     let model = open(file.path()).unwrap();
     assert_eq!(read(model.as_ref(), 0, 1000).0, after.positions);
@@ -739,7 +739,7 @@ fn files_of_the_other_library_come_through() {
                 assert_eq!(Point { z: old.z, ..new }, old);
             }
             let (old, new) = (before.header().bounds(), after.header().bounds());
-            // It gives its own bounds a step more.
+            // The library gives its own bounds a step more.
             assert!((new.max.z - old.max.z - 5.0).abs() < 0.0011 && new.min.x == old.min.x);
         }
     }
@@ -859,7 +859,7 @@ fn spec() -> impl Strategy<Value = (Spec, Vec<[i32; 3]>)> {
     )
 }
 
-/// So many, unless the environment says how many.
+/// Number of cases, unless the environment sets another.
 fn cases(count: u32) -> ProptestConfig {
     let usual = ProptestConfig::default();
     if std::env::var_os("PROPTEST_CASES").is_some() {
@@ -1068,7 +1068,7 @@ fn extra_bytes_turn_and_say_how_far_they_reach() {
         let [x, y, z] = [0, 1, 2].map(|i| shorts(&before.records, &spec, i));
         let found = [0, 1, 2].map(|i| shorts(&after.records, &spec, i));
         for i in 0..positions.len() {
-            // What does not fit stays.
+            // A number that does not fit its type stays.
             let opposite = if y[i] == -32768 { x[i] } else { -y[i] };
             let expected = if i % 2 == 0 { [opposite, x[i], z[i]] } else { [x[i], y[i], z[i]] };
             assert_eq!(found.each_ref().map(|of| of[i]), expected);

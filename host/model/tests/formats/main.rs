@@ -27,7 +27,7 @@ use simod_model::{
     for_faces_at, for_faces_from,
 };
 
-/// Opens a file of these bytes, whose name ends so.
+/// Opens a file of these bytes, with a name of this ending.
 pub fn open(bytes: &[u8], extension: &str) -> Result<Box<dyn Model>> {
     let mut file = tempfile::Builder::new().suffix(extension).tempfile().unwrap();
     file.write_all(bytes).unwrap();
@@ -35,7 +35,7 @@ pub fn open(bytes: &[u8], extension: &str) -> Result<Box<dyn Model>> {
     simod_model::open(file.path())
 }
 
-/// All positions and normals of a range, in chunks of at most so many.
+/// Positions and normals of a range, read in chunks of at most so many vertices.
 pub fn read_by(model: &dyn Model, range: Range<u64>, chunk_size: usize) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
     let mut reader = model.vertices(range.clone())?;
     reader.set_chunk(chunk_size);
@@ -82,7 +82,7 @@ pub fn triangles(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
     Ok(triangles)
 }
 
-/// Reads the faces between marks, and checks that they are those that all of them have there.
+/// Reads the faces between marks, and checks that they are those that a reading of all has there.
 pub fn check_marks(model: &dyn Model) {
     let (mut all, mut marks) = (Vec::new(), Vec::new());
     let mut reader = model.faces().unwrap();
@@ -106,7 +106,8 @@ pub fn check_marks(model: &dyn Model) {
     check_reading_on(model, &all, &marks);
 }
 
-/// Reads the faces from marks on, if they can be read so: the same, with the same marks.
+/// Reads the faces from marks on, if the format supports that, and checks that they are the same, with the
+/// same marks.
 pub fn check_reading_on(model: &dyn Model, all: &[[u32; 3]], marks: &[(usize, u64)]) {
     let every = marks.len().div_ceil(50).max(1);
     let inner = marks.iter().enumerate().take(marks.len().saturating_sub(1));
@@ -192,7 +193,7 @@ pub fn message(result: Result<impl Sized>) -> String {
     }
 }
 
-/// So many cases, unless others are asked for.
+/// Number of cases, unless others are asked for.
 pub fn cases(count: u32) -> ProptestConfig {
     let usual = ProptestConfig::default();
     if std::env::var_os("PROPTEST_CASES").is_some() {
@@ -202,7 +203,7 @@ pub fn cases(count: u32) -> ProptestConfig {
     }
 }
 
-/// Goes over all of a file, as a command would.
+/// Reads all of a file, as commands do.
 pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     let model = open(bytes, extension)?;
     model.check_complete(&Silent)?;
@@ -214,7 +215,7 @@ pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     Ok(())
 }
 
-/// What holds of every good file: it comes back as it is, by any chunks.
+/// Checks of every good file: it comes back as it is, by any chunks.
 pub fn check_whole(bytes: &[u8], extension: &str) -> Box<dyn Model> {
     go_over(bytes, extension).unwrap();
     let model = open(bytes, extension).unwrap();
@@ -250,8 +251,8 @@ fn check_parts(model: &dyn Model, of_all: &[u8]) {
     }
 }
 
-/// What is left of a file at every byte is an error or something sane, and so is the file with any byte
-/// replaced by some others.
+/// Checks that the beginning of a file up to any byte is an error or something sane, and so is the file with
+/// any byte replaced by some others.
 pub fn check_bad(bytes: &[u8], extension: &str) {
     for end in 1..bytes.len() {
         let _ = go_over(&bytes[..end], extension);
@@ -306,7 +307,7 @@ fn texts_with_what_is_no_text_are_errors_or_sane() {
             let (before, after) = text.split_once(word).unwrap();
             go_over(&[before.as_bytes(), other, after.as_bytes()].concat(), extension)
         };
-        // What is said to be no number stays; a number beyond all doubles is a mistake.
+        // A number written as infinite or NaN stays; a number beyond all doubles is a mistake.
         ["nan", "-inf", "Infinity"].iter().for_each(|none| with(none.as_bytes()).unwrap());
         for beyond in ["1e999", "-1E+999", &"9".repeat(310)] {
             let error = with(beyond.as_bytes()).unwrap_err();

@@ -3,18 +3,18 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Where the normals stand.
+/// Place of the normals in the file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Layout {
     None,
     /// `vn` before or behind each `v`.
     Before,
     Behind,
-    /// All of them behind all vertices.
+    /// All normals behind all vertices.
     Apart,
-    /// In objects, each with its vertices, normals and faces.
+    /// Several objects, each with its vertices, normals and faces.
     Objects,
-    /// As many as vertices, but corners use others.
+    /// As many normals as vertices, but corners use others than their vertex'.
     Shared,
 }
 use Layout::{Apart, Before, Behind, None, Objects, Shared};
@@ -103,7 +103,7 @@ fn numbers_of_v_and_vn_change_and_nothing_else() {
     for layout in LAYOUTS {
         let bytes = build(3000, layout, true, "\n");
         let model = open(&bytes, ".obj").unwrap();
-        // What moves is turned by a right angle.
+        // Vertices that move are turned by a right angle.
         let moves = |p: DVec3| p.x > 0.5;
         let out = rewrite(model.as_ref(), |e| {
             for i in 0..e.positions.len() {
@@ -131,7 +131,7 @@ fn numbers_of_v_and_vn_change_and_nothing_else() {
                     continue;
                 }
             };
-            // Where corners have other normals, a normal goes with the vertex before.
+            // Corners with other normals: a normal goes with the vertex before.
             let place = if layout == Shared && words[0] == "vn" { (*index + 2999) % 3000 } else { *index };
             let position = vertex(place).0;
             let moved = moves(DVec3::X * number(position.split(' ').nth(1).unwrap()));
@@ -203,7 +203,7 @@ fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
     assert!(notes[1].ends_with("turn apart by more than 5\u{b0}: 1 normal kept"), "{notes:?}");
 }
 
-/// What the user is told.
+/// Notes that the user gets.
 #[derive(Default)]
 pub struct Notes(pub Mutex<Vec<String>>);
 
@@ -230,7 +230,7 @@ fn strange_statements_pass_through() {
     let info = model.info();
     assert_eq!((info.vertices, info.faces, info.other_properties.len()), (3, 5, 3));
     let all = triangles(model.as_ref()).unwrap();
-    // What there is no vertex for is given as it is, or as a number that none can have.
+    // A corner without a vertex is given as it is, or as a number that no vertex can have.
     assert_eq!(all, [[0, 1, 2], [0, 1, 8], [u32::MAX, 0, u32::MAX], [u32::MAX, u32::MAX, 1]]);
     let mut chunk = VertexChunk::default();
     model.vertices(0..3).unwrap().read(&mut chunk).unwrap();

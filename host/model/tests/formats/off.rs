@@ -33,12 +33,12 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("COFF", "1 2 3 255 0 0 255"), is("COFF", 0, "red green blue alpha"));
     assert_eq!(of("CNOFF", "1 2 3 0 0 1 0.5 0.5 0.5"), is("CNOFF", 2, "red green blue"));
     assert_eq!(of("STOFF", "1 2 3 0.5 0.25"), is("STOFF", 0, "s t"));
-    // As MeshLab has it.
+    // The letters as MeshLab has them.
     assert_eq!(of("CSTOFF", "1 2 3 9 8 7 6 0.5 0.25"), is("STCOFF", 0, "red green blue alpha s t"));
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
-/// As MeshLab writes them, letters and numbers.
+/// Colours come before normals, in letters and numbers, as MeshLab writes them.
 #[test]
 fn colours_may_come_before_normals() {
     let lines = "1 2 3 3 0 99 255 0 0 1\n4 2 3 255 9 8 255 0.6 0 0.8\n";
@@ -46,7 +46,7 @@ fn colours_may_come_before_normals() {
     assert_eq!(model.info().format, "NCOFF");
     let (_, normals) = read(model.as_ref()).unwrap();
     assert_eq!(normals, [Vec3::Z, Vec3::new(0.6, 0.0, 0.8)]);
-    // Also where they are none that are known, as a place in a table of colours.
+    // The attributes are unknown also where a vertex has a place in a table of colours.
     let by_index = check_whole(b"NCOFF\n2 0 0\n1 2 3 7 0 0 1\n4 2 3 8 0.6 0 0.8\n", ".off");
     assert_eq!(read(by_index.as_ref()).unwrap().1, normals);
     assert!(by_index.info().attributes.is_empty());
@@ -85,7 +85,7 @@ fn whole_numbers_of_colours_are_bytes() {
     assert_eq!(of("COFF", ["1 2 3 9 0 0", "1 2 3 0 1 256"]), [F64; 3]);
 }
 
-/// As Geomview allows it, and ModelNet has it.
+/// The first word is glued to the counts or left out, as Geomview allows it, and ModelNet has it.
 #[test]
 fn the_first_word_may_be_glued_or_left_out() {
     let rest = " 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";

@@ -9,7 +9,7 @@ use simod_model::{
 
 use super::*;
 
-/// More than three pieces, and faces of more than one.
+/// Number of vertices: more than three pieces, and faces of more than one.
 const VERTICES: u32 = 210_000;
 
 /// A part of a file in memory.
@@ -67,7 +67,7 @@ impl Edit for Twist {
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         for (i, p) in versions[0].positions.iter_mut().enumerate() {
-            // As a whole, and by the vertex.
+            // The model moves as a whole, and each vertex by itself.
             p.z += 0.25 * p.x + ((chunk.first + i as u64) % 7) as f64;
         }
         Ok(())

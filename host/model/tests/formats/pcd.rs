@@ -141,7 +141,7 @@ fn all_encodings_hold_the_same_points() {
     let model = open(&compressed(), ".pcd").unwrap();
     assert_eq!(model.info().format, "PCD 0.7, binary_compressed");
     check_points(model.as_ref());
-    // What is written is the same, but not compressed.
+    // The written file is the same, but not compressed.
     assert!(rewrite(model.as_ref(), |_| {}).unwrap() == binary());
 }
 

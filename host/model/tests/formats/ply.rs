@@ -29,14 +29,14 @@ use Encoding::{Ascii, Big, Little};
 
 const ENCODINGS: [Encoding; 3] = [Ascii, Little, Big];
 
-/// What sort of file to make.
+/// Kind of file to make.
 #[derive(Debug, Clone)]
 struct Spec {
     encoding: Encoding,
     /// Types of x, y, z, and of the normals' coordinates.
     position: [&'static str; 3],
     normal: Option<&'static str>,
-    /// x, y, z, nx, ny, nz, a colour and an id in this order (those of them that there are).
+    /// Order of x, y, z, nx, ny, nz, a colour and an id in a record (those of them that there are).
     order: Vec<usize>,
     colour: bool,
     list_in_vertex: bool,
@@ -70,7 +70,7 @@ impl Spec {
         }
     }
 
-    /// Everything that makes a file difficult.
+    /// Specification with everything that makes a file difficult.
     fn difficult(encoding: Encoding) -> Self {
         Self {
             position: ["float", "double", "float"],
@@ -372,7 +372,7 @@ proptest! {
         let tail = read(&*model, cut..info.vertices).unwrap();
         prop_assert_eq!(bits(&tail).0, bits(&all).0.split_off(cut as usize));
 
-        // As a string the difference is told in full.
+        // The bytes are compared as strings, so that a difference is printed in full.
         let same = rewrite(&*model, |_| {}).unwrap();
         prop_assert!(same == bytes, "{:?}\n{:?}", same.escape_ascii().to_string(), bytes.escape_ascii().to_string());
 
@@ -479,7 +479,7 @@ proptest! {
     }
 }
 
-/// Does with a file all that can be done, up to the first error.
+/// Reads and rewrites a file in all ways, up to the first error.
 fn exhaust(bytes: &[u8]) -> Result<()> {
     let model = open(bytes)?;
     model.check_complete(&Silent)?;
@@ -565,7 +565,7 @@ fn a_large_file_cut_off_is_noticed_when_opened() {
                 "{text}"
             );
         }
-        // What follows is not the model's.
+        // Bytes behind the faces are not the model's.
         let mut longer = bytes.clone();
         longer.extend_from_slice(&[3; 26]);
         assert!(rewrite(&*open(&longer).unwrap(), |_| {}).unwrap() == longer);
@@ -576,7 +576,8 @@ fn a_large_file_cut_off_is_noticed_when_opened() {
 fn a_length_that_fits_by_chance_does_not_pass() {
     let spec = Spec { faces: Faces::Mixed, ..Spec::new(Little) };
     let bytes = spec.build(&grid(300_000));
-    // As long as if all faces were like the first one: group, triangle, no texcoord, flags; and two edges.
+    // The file is as long as if all faces were like the first one: group, triangle, no texcoord, flags; and
+    // two edges.
     let faces = 150_000;
     let first = 2 + 1 + 3 * 4 + 1 + 2;
     let all: usize = (0..faces).map(|face| first + face % 3 * 4 + face % 2 * 4).sum();
@@ -738,7 +739,7 @@ fn pieces_that_are_edited_at_once_stay_what_they_are() {
     }
 }
 
-/// What it was given, and how many pieces it was told that this is.
+/// Bytes that the output was given, and the number of pieces that these were said to be.
 #[derive(Default)]
 struct CountedPieces {
     bytes: Vec<u8>,
@@ -761,7 +762,7 @@ impl Output for CountedPieces {
     }
 }
 
-/// Moves all vertices, and counts what it is told of.
+/// Edit that moves all vertices, and counts the calls.
 #[derive(Default)]
 struct Counting {
     begun: Mutex<Vec<u64>>,
@@ -789,7 +790,7 @@ impl Edit for Counting {
     }
 }
 
-/// What was written, piece by piece.
+/// Bytes that were written, piece by piece.
 #[derive(Default)]
 struct Pieces(Vec<Vec<u8>>);
 
@@ -842,7 +843,8 @@ fn three_chunks(encoding: Encoding) -> Box<dyn Model> {
     open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap()
 }
 
-/// Of several chunks that fail, perhaps at the same time, the first one tells, and all before it is written.
+/// The first one of several chunks that fail, perhaps at the same time, is reported, and all chunks before it
+/// are written.
 #[test]
 fn an_error_of_the_edit_stops_everything() {
     for encoding in [Little, Ascii] {
@@ -866,7 +868,7 @@ fn an_error_of_the_edit_stops_everything() {
     }
 }
 
-/// Takes so many bytes, then is full.
+/// Output that takes so many bytes, and then is full.
 struct Full(usize);
 
 impl Write for Full {
@@ -1142,7 +1144,7 @@ fn our_own_point_sets_are_read_back() {
     let fewer =
         write_points(&path, [DVec3::ZERO; 2].into_iter(), &[Vec3::X], &[], Scalar::F32, &[]).unwrap_err();
     assert_eq!(fewer.kind(), ErrorKind::Mismatch);
-    // What was there is still there, and nothing else.
+    // The former file is still there, and no other.
     assert_eq!(simod_model::open(&path).unwrap().info().vertices, 1000);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }

@@ -131,7 +131,7 @@ fn map() -> DMat3 {
         * DMat3::from_diagonal(DVec3::new(1.3, 0.9, 1.0))
 }
 
-/// Everything under a linear map.
+/// Bytes of the model after a linear map of all.
 fn deformed(model: &dyn Model) -> Vec<u8> {
     rewrite(model, |edited: &mut Edited| {
         edited.positions.iter_mut().for_each(|p| *p = map() * *p);
@@ -203,7 +203,8 @@ fn splats_turn_as_far_as_their_bits_tell() {
             assert!(q.distance(map() * *p) < step, "{q} is not {}", map() * *p);
         }
         for ((s, opacity), (t, other)) in shapes(model.as_ref()).iter().zip(shapes(found.as_ref())) {
-            // Of most: where axes are much longer than others, what the steps of the quaternion turn is seen.
+            // Most splats are near: where axes are much longer than others, the rotation by a step of the
+            // quaternion is seen.
             let expected = map() * *s * map().transpose();
             let size = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
             assert!(size(t - expected) < bound * size(expected), "{t} is not {expected}");
@@ -321,7 +322,7 @@ fn spz_turns_as_far_as_its_bits_tell() {
     }
 }
 
-/// What holds of every good file, but that gzip may pack the same bytes in another way.
+/// Checks of every good file, but that gzip may pack the same bytes in another way.
 fn check_whole_but(bytes: &[u8]) -> Box<dyn Model> {
     let model = open(bytes, ".spz").unwrap();
     let all = read(model.as_ref()).unwrap();
@@ -395,7 +396,7 @@ fn what_lies_is_refused() {
         assert!(message(found).contains(named), "{to}");
     }
     assert!(message(open(&bytes[..bytes.len() - 1], ".ply")).contains("ends within its 300 packed splats"));
-    // What follows is kept.
+    // Bytes behind the splats are kept.
     check_whole(&[&bytes[..], b"more"].concat(), ".ply");
 }
 

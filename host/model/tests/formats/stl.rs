@@ -102,7 +102,7 @@ fn statements_may_stand_in_one_line() {
     }
     let one = "solid facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet endsolid";
     check_whole(one.as_bytes(), ".stl");
-    // What is wrong is told as of lines.
+    // Errors are told by their line.
     for (from, to) in [("vertex 1 0 0", ""), ("endloop", "color 1 1 1"), ("1 0 0", "1 0"), ("endsolid", "")] {
         let text = message(go_over(one.replacen(from, to, 1).as_bytes(), ".stl"));
         assert!(text.starts_with("line 1: "), "{text}");
@@ -166,7 +166,7 @@ fn normals_keep_their_side_and_zeros() {
     let turned = |p: DVec3| DVec3::new(p.x, p.z, p.y);
     let out = rewrite(model.as_ref(), |e| e.positions.iter_mut().for_each(|p| *p = turned(*p))).unwrap();
     let normals: Vec<[f32; 3]> = facets(&out).iter().map(|f| f.0[0]).collect();
-    // That of the facet without an area is kept.
+    // The normal of the facet without an area is kept.
     assert_eq!(normals, [[0.0, 1.0, 0.0], [0.0; 3], [0.0, 0.0, 1.0]]);
 }
 
@@ -204,7 +204,7 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("facet normal 0 0 1\n", ""), "line 3: \"vertex 0 0 0\" after 0 facets and 1 corners");
     let far = bad("vertex 1 0 0\n", &("\n".repeat(300_000) + "vertex 1 0 0\n"));
     assert!(far.starts_with("line 300005: more than 256 KiB lie between"), "{far}");
-    // What is no finite number is left as it is.
+    // A number that is not finite is left as it is.
     go_over(good.replace("vertex 1 0 0", "vertex inf nan 0").as_bytes(), ".stl").unwrap();
     go_over(good.replace("normal 0 0 1", "normal nan inf none").as_bytes(), ".stl").unwrap();
     let beyond = "\"1e999\" is beyond the type double";

@@ -117,7 +117,7 @@ fn read(
         normals.extend_from_slice(&piece.normals);
         model.some_attributes(&piece, &[place], &mut lists).unwrap();
         numbers.extend_from_slice(&lists[0]);
-        // As readers ahead do, with buffers in turn.
+        // Buffers are used in turn, as by readers ahead.
         std::mem::swap(&mut read, &mut piece);
     }
     (positions, normals, numbers)

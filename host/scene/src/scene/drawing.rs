@@ -12,21 +12,20 @@ use crate::splats::CloudRange;
 use crate::targets::{SurfaceTargets, Targets, texture};
 use crate::view::{PixelScale, SceneStyle, SceneView, SurfaceMode};
 
-/// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly
-/// spread.
+/// Factor by which the discs of a part of the samples are wider than their number demands, as the samples
+/// are not quite evenly spread.
 const PART_SLACK: f32 = 1.15;
 /// Most splats of a ghost: it is faint, so a part of its samples will do.
 const GHOST_SPLATS: usize = 200_000;
-/// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as
-/// splats.
+/// Number of triangles for each splat of the budget, beyond which a moving mesh is drawn as splats.
 const TRIANGLES_PER_SPLAT: usize = 4;
 
-/// The most often that details are halved for a frame.
+/// Greatest number of halvings of the details for a frame.
 const MOST_HALVED: usize = 24;
 
-/// The next picture at rest has so many times more splats than the last one ...
+/// Factor by which the next picture at rest has more splats than the last one ...
 const FINER: usize = 3;
-/// ... unless that is so large a part of all (one in so many) that all are as good.
+/// ... unless these would be at least one of so many of all splats: then all are drawn.
 const NEARLY_ALL: usize = 2;
 
 impl Scene {
@@ -37,7 +36,7 @@ impl Scene {
             && self.has_triangles_for(splats)
     }
 
-    /// Whether there are triangles, and no more than are drawn in the time of so many splats.
+    /// Whether there are triangles, and no more than can be drawn in the time of so many splats.
     pub(super) fn has_triangles_for(&self, splats: usize) -> bool {
         let triangles = self.surface.as_ref().map_or(0, Cloud::triangles);
         self.details.is_empty() && (1..=splats.saturating_mul(TRIANGLES_PER_SPLAT)).contains(&triangles)
@@ -114,8 +113,8 @@ impl Scene {
         self.light(encoder, style);
     }
 
-    /// Sums up at most so many more splats, pass by pass: first of a picture that shows some more of all than
-    /// the last one, and once that is shown, of the next one.
+    /// Sums up at most so many more splats, pass by pass: first those of the picture that shows more splats
+    /// than the last one, and once that is shown, those of the next one.
     pub(super) fn fill(
         &mut self,
         encoder: &mut CommandEncoder,
@@ -163,7 +162,7 @@ impl Scene {
         }
     }
 
-    /// What the next picture at rest shows: more than the last one did.
+    /// Shares of the next picture at rest, which shows more splats than the last one.
     pub(super) fn next_shares(&self) -> DetailShares {
         let SurfaceShare { drawn, of, .. } = self.drawn;
         let more = drawn.saturating_mul(FINER);
@@ -171,7 +170,7 @@ impl Scene {
         if more >= of / NEARLY_ALL || self.count(shares) <= drawn { self.shares(usize::MAX) } else { shares }
     }
 
-    /// Number of splats.
+    /// Number of splats in these shares.
     fn count(&self, shares: DetailShares) -> usize {
         shares.surface + self.details.values().map(|c| c.halved(shares.halved)).sum::<usize>()
     }
@@ -186,7 +185,7 @@ impl Scene {
         }
     }
 
-    /// From the surface that is seen to the finished picture.
+    /// Draws the passes from the visible surface to the lit picture.
     fn light(&mut self, encoder: &mut CommandEncoder, style: &SceneStyle) {
         let SizedTargets { targets, passes, .. } = &self.stages[&self.shown];
         if style.occlusion {
@@ -196,7 +195,7 @@ impl Scene {
         self.finish(encoder);
     }
 
-    /// From the lit picture to the finished one.
+    /// Draws the pass from the lit picture to the finished one.
     pub(super) fn finish(&mut self, encoder: &mut CommandEncoder) {
         let SizedTargets { targets, passes, .. } = &self.stages[&self.shown];
         let Some((_, finished)) = &self.finished else { return };
@@ -206,13 +205,13 @@ impl Scene {
         self.marks_changed = false;
     }
 
-    /// What of the surface and its details at most so many splats are, all of each evenly spread.
+    /// Shares of the surface and of its details that are at most so many splats, evenly spread in each.
     pub(super) fn shares(&self, splats: usize) -> DetailShares {
         let Some(surface) = &self.surface else { return DetailShares::default() };
         if splats >= self.splats() {
             return DetailShares { surface: surface.len(), halved: 0 };
         }
-        // Half of them are the details', or as many as there are.
+        // Half of the splats are the details', or as many as the details have.
         let details: usize = self.details.values().map(Cloud::len).sum();
         let part = surface.part(splats - details.min(splats / 2));
         let fits = |times: &usize| {
@@ -221,7 +220,7 @@ impl Scene {
         DetailShares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
     }
 
-    /// The surface's splats and the details' that these shares allow.
+    /// Splats of the surface and of the details in these shares.
     fn parts(&self, shares: DetailShares) -> Vec<CloudRange<'_>> {
         let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
         let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));
@@ -229,7 +228,7 @@ impl Scene {
         surface.chain(details).map(part).collect()
     }
 
-    /// The splats of these shares side by side, and of these some places.
+    /// Some places among the splats of these shares, laid side by side.
     fn slice(&self, shares: DetailShares, places: Range<usize>) -> Vec<CloudRange<'_>> {
         let mut first = 0;
         let mut parts = self.parts(shares);
@@ -242,7 +241,7 @@ impl Scene {
         parts
     }
 
-    /// Tells the shaders of a frame of these shares.
+    /// Gives the shaders the data of a frame with these shares.
     fn set_frame(&self, view: &SceneView, style: &SceneStyle, stage: &SizedTargets, shares: DetailShares) {
         let radius = self.surface.as_ref().or(self.ghost.as_ref()).map_or(1.0, |cloud| cloud.radius);
         let size = stage.targets.size;
@@ -260,7 +259,7 @@ impl Scene {
     }
 }
 
-/// How much wider the discs of a part of the samples are than those of all.
+/// Factor by which the discs of a part of the samples are wider than those of all.
 fn part_scale(part: usize, all: usize) -> f32 {
     if part >= all { 1.0 } else { PART_SLACK * (all as f32 / part.max(1) as f32).sqrt() }
 }

@@ -1,4 +1,4 @@
-//! Samples that move while only a part of them is drawn: what is not drawn need not be brought up to date.
+//! Samples that move while only a part of them is drawn: the others need not be brought up to date.
 
 use std::sync::Arc;
 
@@ -9,19 +9,19 @@ use crate::cloud::{BadSurface, SceneSurface, same_length};
 use crate::view::{SceneStyle, SceneView, SurfaceMode};
 
 impl Scene {
-    /// The samples are somewhere else: none of them is up to date any more, and the next picture is another
+    /// Marks all samples as moved: none of them is up to date any more, and the next picture is another
     /// one.
     pub fn outdate(&mut self) {
         (self.placed, self.of) = (0, None);
     }
 
-    /// Whether the picture is that of this view, or is on its way to it.
+    /// Whether the picture is that of this view and style, or on its way to it.
     pub fn is_of(&self, view: &SceneView, style: &SceneStyle) -> bool {
         self.of == Some(self.drawable(view, style))
     }
 
-    /// How many samples the next picture is of, at most: no others than these [first ones](Self::first) have
-    /// to be up to date for it.
+    /// Greatest number of samples that the next picture draws: only these [first ones](Self::first) have to
+    /// be up to date for it.
     pub fn reach(&self, view: &SceneView, style: &SceneStyle, budget: Option<&Budget>) -> usize {
         let all = self.samples();
         let Some(budget) = budget else { return all };
@@ -43,7 +43,7 @@ impl Scene {
             && self.has_triangles_for(if splats < self.splats() { splats } else { usize::MAX })
     }
 
-    /// So many samples that are drawn first, by their indices, ascending.
+    /// Indices of the `count` samples that are drawn first, ascending.
     pub fn first(&mut self, count: usize) -> Arc<[u32]> {
         let count = count.min(self.samples());
         if self.first.as_ref().is_none_or(|first| first.samples.len() != count) {

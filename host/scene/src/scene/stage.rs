@@ -1,5 +1,5 @@
-//! What drawing keeps from one frame to the next: textures, how far splats are summed up, values for the
-//! shaders.
+//! Data that drawing keeps from one frame to the next: textures, the splats summed up so far, values for
+//! the shaders.
 
 use bytemuck::bytes_of;
 use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages};
@@ -22,14 +22,14 @@ pub(super) struct SizedTargets {
 pub(super) struct DetailShares {
     /// Splats of the surface.
     pub surface: usize,
-    /// How often the details are halved.
+    /// Number of times that the details are halved.
     pub halved: usize,
 }
 
 /// Splats of the next picture at rest that both passes have drawn.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FilledSplats {
-    /// What that picture shows; not chosen yet before its first splats.
+    /// Shares of that picture; not chosen yet before its first splats.
     pub shares: Option<DetailShares>,
     pub depth: usize,
     pub blend: usize,

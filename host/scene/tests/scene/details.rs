@@ -61,7 +61,7 @@ fn a_surface_in_pieces_looks_as_the_whole() {
     let (worst, beyond) = difference(&image, &shot(&mut scene), 2);
     assert!(beyond < 1e-3, "{worst}, {beyond}");
 
-    // Piece by piece, within a budget, it comes to the same.
+    // The picture that is drawn piece by piece, within a budget, is the same.
     let filled = shot(&mut scene);
     let mut budget = Budget::new(Duration::ZERO);
     for _ in 0..20 {
@@ -78,7 +78,7 @@ fn a_surface_in_pieces_looks_as_the_whole() {
     assert!(scene.drawn().complete && scene.drawn().drawn == all);
     assert!(difference(&filled, &scene.read().unwrap(), 2).1 < 1e-3);
 
-    // Hidden, or gone.
+    // Details are hidden, or gone.
     let hidden: Vec<Vec<f32>> = details.iter().map(|d| vec![-1.0; d.radii.len()]).collect();
     for ((detail, radii), number) in details.iter().zip(&hidden).zip([7, 3]) {
         scene.set_detail_colors(number, radii, detail.colors.as_deref()).unwrap();
@@ -88,8 +88,8 @@ fn a_surface_in_pieces_looks_as_the_whole() {
     assert!(same(&half, &shot(&mut scene)) && scene.splats() == surface.positions.len());
 }
 
-/// Fine details have their colour, and nothing of what they stand for shines through; triangles give way to
-/// them.
+/// Fine details have their colour, and the samples that they stand for do not shine through; triangles give
+/// way to details.
 #[test]
 fn fine_details_hide_what_is_behind() {
     let Some(gpu) = gpu() else { return };
@@ -112,7 +112,7 @@ fn fine_details_hide_what_is_behind() {
     assert!(scene.set_detail(0, Some(&SceneSurface { radii: &[], ..fine.surface() })).is_err());
 }
 
-/// A few of them, beside a surface of which only a part is drawn, by larger discs: they leave it their share
+/// Few details beside a surface of which only a part is drawn, by larger discs, leave the surface its share
 /// of the splats, and stay as they are.
 #[test]
 fn few_details_are_no_larger_for_a_large_surface() {
@@ -144,6 +144,6 @@ fn few_details_are_no_larger_for_a_large_surface() {
     scene.render(&view(), &style(), Some(&mut budget));
     let part = scene.drawn().drawn;
     assert!(part < all && 2 * part > budget.splats(), "{part} of {all}");
-    // In other pixels, as what moves is drawn more coarsely, but as many.
+    // The details have other pixels, as moving pictures are drawn more coarsely, but as many.
     assert!(blue(&scene).abs_diff(whole) < whole / 4, "{} {whole}", blue(&scene));
 }

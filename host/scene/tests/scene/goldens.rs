@@ -1,5 +1,5 @@
 //! Pictures as they were: `../goldens/`. `SIMOD_WRITE_GOLDENS=1 cargo test -p simod-scene --test scene
-//! goldens` makes them anew, by software Vulkan; look at them before they are committed.
+//! goldens` makes them anew, by software Vulkan; look at the new pictures before they are committed.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use crate::common;

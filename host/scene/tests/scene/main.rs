@@ -1,4 +1,4 @@
-//! Pictures of samples, surfaces and vertices, by a graphics card or what stands in for one.
+//! Pictures of samples, surfaces and vertices, by a graphics card or the software that stands in for one.
 
 mod common;
 mod details;

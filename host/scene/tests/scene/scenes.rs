@@ -1,4 +1,4 @@
-//! Scenes that change: budgets, drags, ghosts, marks; and what must not go wrong.
+//! Scenes that change: budgets, drags, ghosts, marks; and inputs that must do no harm.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use crate::common;
@@ -121,8 +121,8 @@ fn a_drag_moves_the_surface() {
     assert!(!is_red(&shot(&mut scene, &plain()), place));
 }
 
-/// While a part is drawn, no more has to be up to date: the picture is that of a surface that has moved as a
-/// whole. More follows, up to all of it.
+/// While a part of the samples is drawn, no more of them have to be up to date: the picture is that of a
+/// surface that has moved as a whole. More samples follow, up to all.
 #[test]
 fn a_part_of_the_surface_moves_alone() {
     let Some(gpu) = gpu() else { return };
@@ -199,11 +199,11 @@ fn a_ghost_is_seen_beside_and_through_the_surface() {
             assert!(apart(a, b) > 12, "{place:?}: {a:?}, {b:?}");
         }
         assert_eq!(at(&without, far), at(&with, far));
-        // It is clear where it is asked to be.
+        // A ghost without opacity leaves the picture as it is.
         assert!(
             difference(&shot(&mut scene, &SceneStyle { ghost_opacity: 0.0, ..style }), &without, 1).1 == 0.0
         );
-        // Where nothing moved, it does not stain.
+        // A ghost at the surface's own place leaves no stains.
         scene.set_ghost(Some(&surface.surface())).unwrap();
         assert!(difference(&shot(&mut scene, &style), &without, 12).1 < 0.01);
         scene.set_ghost(None).unwrap();
@@ -336,7 +336,7 @@ fn who_has_no_adapter_is_told_what_to_install() {
     assert!(NoGpu::HINT.contains("mesa-vulkan-drivers"));
 }
 
-/// A device whose buffers hold a part of the samples gets them in several.
+/// A device whose buffers hold a part of the samples gets the samples in several buffers.
 #[test]
 fn samples_in_several_buffers() {
     let Some(gpu) = gpu() else { return };
@@ -362,7 +362,7 @@ fn samples_in_several_buffers() {
     assert!(same(&shot(&mut scene, &plain()), &whole));
 }
 
-/// After a part, all is drawn at once where no budget holds it back.
+/// All splats are drawn at once after a part, where no budget holds them back.
 #[test]
 fn without_a_budget_all_is_drawn() {
     let Some(gpu) = gpu() else { return };
@@ -380,8 +380,8 @@ fn without_a_budget_all_is_drawn() {
     assert_eq!(scene.drawn().drawn, model.triangles.len());
 }
 
-/// Where all splats take their time, pictures of more and more of them come before, each nearer to the last
-/// one.
+/// Pictures of more and more splats come before the complete one, if that takes its time; each is nearer to
+/// the last.
 #[test]
 fn pictures_at_rest_get_better_steadily() {
     let Some(gpu) = gpu() else { return };
@@ -406,7 +406,7 @@ fn pictures_at_rest_get_better_steadily() {
     assert!(same(&scene.read().unwrap(), &complete));
 }
 
-/// Discs that stretch with the surface leave no holes in it; those that do not, do.
+/// Discs that stretch with the surface leave no holes in it; discs that do not stretch leave some.
 #[test]
 fn stretched_discs_close_a_stretched_surface() {
     let Some(gpu) = gpu() else { return };
@@ -419,7 +419,7 @@ fn stretched_discs_close_a_stretched_surface() {
     };
     let open = holes(&shot(&mut scene, &plain()));
     assert!(open > 10, "{open}");
-    // Where the surface looks to the eye, it is stretched along x.
+    // The part of the surface that faces the eye is stretched along x.
     let ellipse = |(n, r): (&Vec3, &f32)| {
         let along = (Vec3::X - n.x * *n).try_normalize().unwrap_or(n.any_orthonormal_vector());
         [4.0 * r * along, r * n.cross(along)]
@@ -432,7 +432,7 @@ fn stretched_discs_close_a_stretched_surface() {
     assert!(scene.set_axes(&axes[1..]).is_err());
 }
 
-/// What lies beyond a plane is cut away, of discs and triangles alike, and shows its reddish inside.
+/// The part beyond a plane is cut away, of discs and triangles alike, and the reddish inside is seen.
 #[test]
 fn a_plane_cuts_the_surface_open() {
     let Some(gpu) = gpu() else { return };
@@ -490,7 +490,7 @@ fn balls_of_light_face_the_eye() {
     assert!((6..40).contains(&flips), "{flips}");
 }
 
-/// Of two flat backgrounds, what is before them is cut out, with borders half seen through.
+/// The surface is cut out of two flat backgrounds, with borders half seen through.
 #[test]
 fn a_picture_is_cut_out_of_its_background() {
     let Some(gpu) = gpu() else { return };

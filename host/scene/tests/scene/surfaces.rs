@@ -1,4 +1,4 @@
-//! Splats and triangles against what geometry says.
+//! Splats and triangles against their geometry.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use crate::common;
@@ -21,7 +21,7 @@ fn pixels(image: &Image) -> impl Iterator<Item = ([f32; 2], f32)> {
     })
 }
 
-/// Inside the circle there is nothing but the sphere, outside nothing of it.
+/// Checks that a picture has nothing but the sphere inside the circle, and nothing of the sphere outside.
 fn has_outline(image: &Image, radius: f32, tolerance: f32) {
     for (place, distance) in pixels(image) {
         if (distance - radius).abs() > tolerance {
@@ -76,11 +76,12 @@ fn the_outline_is_the_projected_ellipse() {
             let image = draw_from(gpu, &ellipse.colored(RED), &plain(), &parallel());
             let mut inside = 0;
             for (place, _) in pixels(&image) {
-                // Seen from z: where the pixel's ray meets the plane, by parts of the half axes.
+                // The place is that where the pixel's ray meets the plane, in parts of the half axes, seen
+                // from z.
                 let seen = Vec2::new(place[0] - 120.0, 120.0 - place[1]) / 100.0;
                 let foot = Mat2::from_cols(axes[0].truncate(), axes[1].truncate()).inverse() * seen;
-                // Near the border it only blends with others; how near depends on how it is turned to the
-                // eye.
+                // A disc only blends with others near its border; how near depends on the angle between the
+                // disc and the view.
                 let share = if side > 0.0 { 0.6..0.9 } else { 0.3..0.9 };
                 if !share.contains(&foot.length()) {
                     assert_eq!(is_red(&image, place), foot.length() < 0.6, "{turn} {tilt} {place:?}");

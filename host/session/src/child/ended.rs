@@ -1,9 +1,9 @@
 //! A process that does not outlive this one, nor do those that it starts.
 //!
-//! The process leads a process group, which is ended with it. What ends it where this process is killed, and
-//! cannot do so itself: on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and
-//! on all systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups
-//! that are left.
+//! The process leads a process group, which is ended with it. If this process is killed, and cannot end the
+//! group itself, that is done on Linux by the signal that the system sends to it
+//! ([`end_with`](super::end_with)), and on all Unix systems by a shell that reads a pipe from here until it
+//! breaks, and then ends all groups that are left.
 
 use std::io::Result;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
@@ -14,14 +14,14 @@ use std::time::{Duration, Instant};
 /// Time between two looks whether the process is still there.
 pub(super) const INTERVAL: Duration = Duration::from_millis(5);
 
-/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs
-/// open.
+/// Time for which the last words of a process that ended are waited for. Processes that it started itself may
+/// hold its outputs open.
 pub(super) const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// A process that does not outlive this.
 pub struct Ended {
     child: Child,
-    /// How it ended, once it was taken off the system's list: from then on its number may be another
+    /// Exit status, once the process was taken off the system's list: from then on its number may be another
     /// process'.
     status: Option<ExitStatus>,
 }
@@ -43,17 +43,17 @@ impl Ended {
         self.child.id()
     }
 
-    /// What it prints on standard output, if that is asked for, and for the first time.
+    /// Pipe of the process's standard output, if that is asked for, and for the first time.
     pub fn stdout(&mut self) -> Option<ChildStdout> {
         self.child.stdout.take()
     }
 
-    /// What it prints on standard error, likewise.
+    /// Pipe of the process's standard error, likewise.
     pub fn stderr(&mut self) -> Option<ChildStderr> {
         self.child.stderr.take()
     }
 
-    /// How it ended, if it has: then nothing of its group is left either.
+    /// Exit status, if the process has ended: then nothing of its group is left either.
     pub fn try_wait(&mut self) -> Result<Option<ExitStatus>> {
         if self.status.is_none() && self.has_ended()? {
             self.kill();
@@ -62,7 +62,8 @@ impl Ended {
         Ok(self.status)
     }
 
-    /// Ends it, if it does not end by itself at this moment; and how it ended, where that is known.
+    /// Ends the process, if it does not end by itself at this moment; returns its exit status, where that is
+    /// known.
     pub fn end(&mut self) -> Option<ExitStatus> {
         let since = Instant::now();
         while since.elapsed() < LAST_WORDS {
@@ -76,12 +77,12 @@ impl Ended {
         self.status
     }
 
-    /// Ends it at once, with all of its group.
+    /// Ends the process at once, with all of its group.
     pub fn kill(&mut self) {
         if self.status.is_some() {
             return;
         }
-        // The signal fails where there is nobody left.
+        // The signal fails where no process of the group is left.
         #[cfg(unix)]
         if let Some(group) = pid(&self.child) {
             let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
@@ -89,8 +90,8 @@ impl Ended {
         let _ = self.child.kill();
     }
 
-    /// Whether it has ended, without taking it off the list: as long as it is there, nobody else has its
-    /// number.
+    /// Whether the process has ended, without taking it off the system's list: as long as it is there, no
+    /// other process has its number.
     #[cfg(unix)]
     fn has_ended(&self) -> Result<bool> {
         use rustix::process::{WaitId, WaitIdOptions, waitid};
@@ -137,9 +138,9 @@ fn spawn(command: Command) -> Result<Child> {
         let start = move || {
             for (mut command, answer) in orders {
                 let child = command.spawn();
-                // What is left of the command may hold its ends of pipes and sockets open.
+                // The rest of the command may hold its ends of pipes and sockets open.
                 drop(command);
-                // Whoever asked has gone: the process is ended by nobody else.
+                // The caller has gone, and no other code ends the process.
                 if let Err(unheard) = answer.send(child)
                     && let Ok(mut child) = unheard.0
                 {
@@ -156,7 +157,7 @@ fn spawn(command: Command) -> Result<Child> {
     child.recv().map_err(|_| gone())?
 }
 
-/// The shell that ends what is left.
+/// Shell that ends the groups that are left.
 #[cfg(unix)]
 mod watcher {
     use crate::child::ended::spawn;
@@ -197,7 +198,7 @@ mod watcher {
             let mut shell = spawn(shell).ok()?;
             Some(Mutex::new((shell.stdin.take()?, shell)))
         });
-        // Where there is no shell, the system's own signal has to do.
+        // On a system without a shell, the system's own signal has to do.
         if let Some(pipe) = pipe {
             let _ = writeln!(pipe.lock().unwrap_or_else(PoisonError::into_inner).0, "{change} {group}");
         }
@@ -216,8 +217,8 @@ mod tests {
         state.rsplit(')').next().is_some_and(|rest| !rest.trim().is_empty() && !rest.trim().starts_with('Z'))
     }
 
-    /// A shell with a child that would go on, which says the child's number and then does what the script
-    /// says.
+    /// A shell with a child that would go on, which prints the child's number and then does the rest of the
+    /// script.
     fn parent(script: &str) -> (Ended, String) {
         let mut command = Command::new("sh");
         command.args(["-c", &format!("sleep 100 & echo $!; {script}")]).stdout(Stdio::piped());
@@ -239,7 +240,7 @@ mod tests {
     #[test]
     #[cfg(target_os = "linux")]
     fn a_group_ends_with_its_first_process() {
-        // That ends by itself,
+        // The group ends when its first process ends by itself,
         let (mut parent, child) = parent("exit 3");
         assert_eq!(parent.end().and_then(|status| status.code()), Some(3));
         ends(&child);

@@ -11,11 +11,11 @@ pub(crate) struct About {
     #[serde(with = "DescriptorRecord")]
     pub descriptor: Descriptor,
     pub capabilities: Capabilities,
-    /// What a plugin has whose older sessions keep working.
+    /// Migration of older sessions, if the plugin keeps them working.
     pub migration: Option<Migration>,
 }
 
-/// What a plugin can do besides deforming samples.
+/// Abilities of a plugin besides deforming samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Capabilities {
     /// The plugin knows its map at any point of space.
@@ -29,9 +29,9 @@ pub struct Capabilities {
 /// A [`MigrationDesc`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Migration {
-    /// The version of its sessions now.
+    /// Version of the plugin's state in sessions now.
     pub state_version: u32,
-    /// Former ids of parameters, and those of now.
+    /// Former ids of parameters, and the ids of now.
     pub aliases: Vec<(String, String)>,
 }
 

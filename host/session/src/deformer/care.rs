@@ -1,8 +1,8 @@
-//! What a plugin in this process does to it besides what it is asked for, undone after each call:
+//! Protection of this process from side effects of a plugin in it, which are undone after each call:
 //! floating-point modes, the current folder, and standard output, which is the program's alone.
 //!
-//! It is a help against libraries that do not think of others. Nothing here keeps a plugin from harm that it
-//! means: see `docs/plugins.md`.
+//! The protection is a help against libraries that do not think of others. Nothing here keeps a plugin from
+//! harm that it means: see `docs/plugins.md`.
 
 use super::registers::{Modes, clear_upper_halves};
 use super::{Capabilities, Code, Migration, OwnHandles};
@@ -13,13 +13,13 @@ use simod_plugin_api::{
 /// The care that is taken: how much is undone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Care {
-    /// What is in this thread's registers: some nanoseconds.
+    /// State of this thread's registers: some nanoseconds.
     Registers,
-    /// And what belongs to the whole process: some microseconds.
+    /// State of the whole process, too: some microseconds.
     Process,
 }
 
-/// Undoes it when it is dropped.
+/// Guard that restores the state when it is dropped.
 #[must_use]
 pub(crate) struct RestoreOnDrop {
     modes: Modes,
@@ -52,7 +52,7 @@ impl Drop for RestoreOnDrop {
     }
 }
 
-/// What belongs to the whole process.
+/// State of the whole process.
 #[cfg(unix)]
 mod process {
     use rustix::fd::OwnedFd;
@@ -86,7 +86,7 @@ mod process {
             Some(this)
         }
 
-        /// Everything as it was.
+        /// Restores the state of the process.
         pub fn leave(&self) {
             let mut inside = self.inside.lock().unwrap_or_else(PoisonError::into_inner);
             *inside -= 1;
@@ -100,7 +100,8 @@ mod process {
         }
     }
 
-    /// Has the C library write what it was told to print, while that goes where it should.
+    /// Has the C library write the text that it was told to print, while standard output leads to where that
+    /// text should go.
     #[allow(unsafe_code, reason = "a function of the C library; the block has its argument")]
     fn flush() {
         #[cfg(any(target_os = "linux", target_os = "macos"))]

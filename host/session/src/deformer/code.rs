@@ -1,4 +1,4 @@
-//! A plugin's code, however it is reached, as the plugin answers: checked by nobody yet.
+//! Code of a plugin, in this process or another, as the plugin answers: nothing is checked yet.
 
 use super::about::{Capabilities, Migration};
 use simod_plugin_api::{
@@ -10,32 +10,33 @@ use simod_plugin_api::{
 /// The handles that a plugin places.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct OwnHandles {
-    /// Where they are at rest, local coordinates, and how they may be moved.
+    /// Descriptions of the handles: their places at rest, local coordinates, and the ways in which they may
+    /// be moved.
     pub descs: Vec<HandleDesc>,
-    /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no
-    /// surface.
+    /// Faces between the handles, each with its corners as indices of handles; none where the plugin knows of
+    /// no surface.
     pub faces: Vec<Vec<u32>>,
 }
 
-/// The calls of the plugin interface. Those of what a plugin cannot do, as
+/// Calls of the plugin interface. Calls that a plugin does not support, as
 /// [`capabilities`](Self::capabilities) tell, are not made.
 pub trait Code: Send + Sync {
-    /// What the plugin says that it is.
+    /// Returns the plugin's description of itself.
     fn descriptor(&self) -> PluginResult<Descriptor>;
 
     /// The code's capabilities.
     fn capabilities(&self) -> Capabilities;
 
-    /// What it says of its older sessions, if it knows them.
+    /// Returns the plugin's description of its older sessions, if it has one.
     fn migration(&self) -> PluginResult<Option<Migration>>;
 
-    /// Whether it runs in another process.
+    /// Whether the plugin runs in another process.
     fn is_isolated(&self) -> bool {
         false
     }
 
-    /// Has the library loaded where that is done late, so that the calls which nobody can stop need not wait
-    /// for it.
+    /// Loads the library where that is done late, so that the calls which nobody can stop need not wait for
+    /// it.
     fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
         let _ = calls;
         Ok(())
@@ -89,7 +90,7 @@ pub(crate) struct RustCode {
 }
 
 impl RustCode {
-    /// The functions of a library's root module, and of the extensions that it has.
+    /// Functions of a library's root module, and of its extensions.
     pub fn new(module: PluginModRef) -> Self {
         fn extension<T: ExtensionInterface>(module: PluginModRef) -> Option<&'static T> {
             module.extension()(T::ID.into()).into_option().and_then(|e| e.get())
@@ -105,7 +106,7 @@ impl RustCode {
     }
 }
 
-/// What is not offered is not called.
+/// Reason for which a call expects the plugin to have it: calls that are not offered are not made.
 const OFFERED: &str = "the plugin offers it";
 
 impl Code for RustCode {

@@ -1,17 +1,17 @@
-//! How much a plugin may say of itself: the same for all, whatever they are written in.
+//! Limits of a plugin's description of itself: the same for all, whatever they are written in.
 
 use simod_plugin_api::{Descriptor, ParamDesc};
 
-/// The longest text, in bytes: what is longer has no end.
+/// Longest text, in bytes: a longer one is taken for one without an end.
 pub(crate) const LONGEST_TEXT: usize = 1 << 16;
 
-/// The longest list: what is longer is no count.
+/// Longest list: a greater length is taken for no count.
 pub(crate) const LONGEST_LIST: usize = 10_000;
 
 /// The most that all texts take together, in bytes.
 const LONGEST_TEXTS: usize = 16 << 20;
 
-/// All texts of a description, each with what it is.
+/// Texts of a description, each with its name for messages.
 pub fn texts(d: &Descriptor) -> Vec<(&str, String)> {
     let of_plugin = [
         (&d.id, "id"),
@@ -44,12 +44,12 @@ pub fn texts(d: &Descriptor) -> Vec<(&str, String)> {
     texts
 }
 
-/// A parameter's id, as far as it is one that can be read.
+/// Id of a parameter in messages, as far as it can be read.
 fn called(p: &ParamDesc) -> String {
     p.id.chars().take(40).collect()
 }
 
-/// What of a description is more than it may be.
+/// Checks that a description keeps within the limits; the error names the part that is too long.
 pub fn check(d: &Descriptor) -> Result<(), String> {
     let list = |length: usize, what: &dyn Fn() -> String| {
         if length <= LONGEST_LIST {
@@ -74,7 +74,8 @@ pub fn check(d: &Descriptor) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether a character does something to a terminal, or to the order of what is read, instead of being shown.
+/// Whether a character does something to a terminal, or to the order of the text that is read, instead of
+/// being shown.
 pub fn is_raw(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }

@@ -1,5 +1,5 @@
-//! What a plugin may look up in its samples, as the interface's `services` have it: trees that are built when
-//! they are first asked, in whichever process the plugin runs, and kept with its state.
+//! Look-ups in a plugin's samples, as the interface's `services` have them: trees that are built when they
+//! are first asked, in whichever process the plugin runs, and kept with its state.
 //!
 //! Memory, for each state: 12 bytes a triangle where the plugin asks for triangles and 12 a sample where it
 //! asks for positions at rest; 20 a sample once samples were looked up, and 150 a triangle once the surface
@@ -15,11 +15,11 @@ use simod_plugin_api::{
 };
 use std::sync::OnceLock;
 
-/// Samples of a preparation, and what was found out of them.
+/// Samples of a preparation, and the trees that were built of them.
 #[derive(Default)]
 struct Trees {
     triangles: Vec<[u32; 3]>,
-    /// At rest, where the plugin asked for it.
+    /// Positions at rest, where the plugin asked for them.
     rest: Option<Vec<[f32; 3]>>,
     /// A tree of the samples for each pose.
     samples: [OnceLock<Option<KdTree>>; 2],
@@ -53,7 +53,7 @@ impl Trees {
 }
 
 impl Looking<'_> {
-    /// The positions of a pose, and which it is.
+    /// Index and positions of a pose.
     fn pose(&self, pose: Pose) -> Option<(usize, &[[f32; 3]])> {
         match pose {
             Pose::CURRENT => Some((0, self.positions)),
@@ -93,7 +93,7 @@ impl Lookups for Looking<'_> {
     }
 
     fn nearest(&self, pose: Pose, point: [f64; 3], radius: f64, found: &mut [u32]) -> usize {
-        /// So many are found one by one; more of them are sorted.
+        /// Most samples that are found one by one; more of them are sorted.
         const FEW: usize = 256;
         let (Some((_, positions)), point) = (self.pose(pose), Vec3::from_array(point.map(|x| x as f32)))
         else {

@@ -1,8 +1,8 @@
 //! The border to foreign code: the only module that calls it.
 //!
-//! Whatever a plugin does short of crashing comes out as an [`Error`] of kind `Plugin`:
-//! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
-//! values that are not finite, input that was written to, descriptions that make no sense.
+//! Every fault of a plugin short of a crash becomes an [`Error`] of kind `Plugin`: errors and panics (which
+//! the plugin's side of the interface turned into errors), samples left unwritten, values that are not
+//! finite, input that was written to, descriptions that make no sense.
 
 mod about;
 #[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
@@ -64,12 +64,12 @@ impl Message {
         Self { plugin: plugin.to_owned(), level: LogLevel::WARNING, text }
     }
 
-    /// Whether the result may not be what the user wants.
+    /// Whether the message is a warning: the result may not be what the user wants.
     pub fn is_warning(&self) -> bool {
         self.level.0 >= LogLevel::WARNING.0
     }
 
-    /// Whether it is for the plugin's author alone.
+    /// Whether the message is for the plugin's author alone.
     pub fn is_debug(&self) -> bool {
         self.level.0 <= LogLevel::DEBUG.0
     }
@@ -96,13 +96,13 @@ impl Plugin {
         Self::new(code, Path::new("this process"))
     }
 
-    /// Asks a plugin what it is, and checks the answer.
+    /// Asks a plugin for its description, and checks it.
     pub(crate) fn new(code: Box<dyn Code>, path: &Path) -> Result<Self> {
         let about = Self::ask(code.as_ref(), path)?;
         Self::known(code, about, path)
     }
 
-    /// A plugin of which is known what it is; checked.
+    /// Plugin whose description is known, which is checked.
     pub(crate) fn known(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
         check_description(&about.descriptor).map_err(|what| refused(path, &what))?;
         let migration = about.migration.as_ref().map(|m| check_migration(&about.descriptor, m));
@@ -110,14 +110,14 @@ impl Plugin {
         Self::unchecked(code, about, path)
     }
 
-    /// What a plugin says that it is.
+    /// Asks a plugin for its description of itself.
     pub(crate) fn ask(code: &dyn Code, path: &Path) -> Result<About> {
         let descriptor = code.descriptor().map_err(|e| refused(path, &line(&e.message)))?;
         let migration = code.migration().map_err(|e| refused(path, &line(&e.message)))?;
         Ok(About { descriptor, capabilities: code.capabilities(), migration })
     }
 
-    /// A plugin of which is known what it is, whatever that may be: for those who look at it more closely.
+    /// Plugin whose description is known, and is not checked: for those who look at it more closely.
     pub(crate) fn unchecked(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
         let About { descriptor, capabilities, migration } = about;
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
@@ -140,7 +140,7 @@ impl Plugin {
         Self { shipped, ..self }
     }
 
-    /// Whether it came with the program.
+    /// Whether the plugin came with the program.
     pub fn is_shipped(&self) -> bool {
         self.shipped
     }
@@ -160,12 +160,12 @@ impl Plugin {
         &self.descriptor.version
     }
 
-    /// One line on what it does.
+    /// Summary of what the plugin does, in one line.
     pub fn summary(&self) -> &str {
         &self.descriptor.summary
     }
 
-    /// The publication that it implements; may be empty.
+    /// The publication that the plugin implements; may be empty.
     pub fn citation(&self) -> &str {
         &self.descriptor.citation
     }
@@ -175,7 +175,7 @@ impl Plugin {
         &self.descriptor.author
     }
 
-    /// Where there is more on it; may be empty.
+    /// Address of more information on the plugin; may be empty.
     pub fn url(&self) -> &str {
         &self.descriptor.url
     }
@@ -190,22 +190,22 @@ impl Plugin {
         self.consumes
     }
 
-    /// What it can do besides deforming samples.
+    /// Abilities of the plugin besides deforming samples.
     pub fn capabilities(&self) -> Capabilities {
         self.capabilities
     }
 
-    /// The version of what its parameters mean: 1 where it says none.
+    /// Version of the plugin's parameters and their meaning: 1 where the plugin declares none.
     pub fn state_version(&self) -> u32 {
         self.migration.as_ref().map_or(1, |m| m.state_version)
     }
 
-    /// What it says of its older sessions, if it knows them.
+    /// The plugin's description of its older sessions, if it has one.
     pub fn migration(&self) -> Option<&Migration> {
         self.migration.as_ref()
     }
 
-    /// Whether it runs in a process of its own.
+    /// Whether the plugin runs in a process of its own.
     pub fn is_isolated(&self) -> bool {
         self.code.is_isolated()
     }
@@ -230,9 +230,9 @@ impl Plugin {
         self.code.new_scratch().map_err(|e| self.failed(&e))
     }
 
-    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the
-    /// samples' deformed positions. On an error its content is meaningless. That the samples are what they
-    /// were is [checked](Self::check_unchanged) by the caller.
+    /// Fills `out`, whose content is NaN so that unwritten positions stay visible, with the samples' deformed
+    /// positions. On an error its content is meaningless. The caller [checks](Self::check_unchanged) that the
+    /// samples are unchanged.
     pub(crate) fn deform(
         &self,
         state: &State,
@@ -276,7 +276,7 @@ impl Plugin {
         self.all_usable(points.len(), points.iter().filter(|p| bad(p)).count(), first)
     }
 
-    /// The error that it has no map of space.
+    /// Error of a plugin that has no map of space.
     pub(crate) fn samples_only(&self) -> Error {
         Error::plugin(
             format!(
@@ -302,7 +302,7 @@ impl Plugin {
         Ok(handles)
     }
 
-    /// Whether the plugin would leave all samples where they are.
+    /// Whether the plugin would leave all samples where they are; false where it cannot tell.
     pub(crate) fn is_identity(&self, input: &DeformInput<'_>, watch: &PluginWatch<'_>) -> Result<bool> {
         if !self.capabilities.is_identity {
             return Ok(false);
@@ -313,18 +313,19 @@ impl Plugin {
         self.code.is_identity(input).map_err(|e| self.failed(&e))
     }
 
-    /// What a step of an older session has to give now; under the ids of now, checked by nobody yet.
+    /// Settings that a step of an older session has to give now, under the ids of now; nobody has checked
+    /// them yet.
     pub(crate) fn migrate(&self, from: u32, settings: Vec<Setting>) -> Result<Vec<Setting>> {
         self.code.migrate(from, settings).map_err(|e| self.failed(&e))
     }
 
-    /// What the samples' arrays are, about a millisecond for 350 000; nothing for a plugin in another
+    /// Fingerprint of the samples' arrays, about a millisecond for 350 000; none for a plugin in another
     /// process, which has a copy of them.
     pub(crate) fn fingerprint(&self, samples: &Samples<'_>) -> Option<Fingerprint> {
         (!self.is_isolated()).then(|| Fingerprint::new(samples))
     }
 
-    /// What the samples were before a call, they have to be after it: later layers work on them too.
+    /// Checks that a call has not changed the samples: later layers work on them too.
     ///
     /// # Errors
     /// The plugin has changed them.
@@ -377,16 +378,16 @@ impl Plugin {
     }
 }
 
-/// Hashes of the samples' arrays, of all their pages that leave the same remainder: what is done again and
-/// again is looked at in turn.
+/// Hashes of the samples' arrays, each of all pages whose numbers leave the same remainder: checks that are
+/// made again and again look at one part after the other.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Fingerprint([u64; Self::PARTS]);
 
-/// What of the samples is looked at.
+/// Part of the samples that is compared.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum SampleChecks {
     All,
-    /// One of the parts of a fingerprint, which are counted round and round.
+    /// One of the parts of a fingerprint, which are taken in turn.
     Part(usize),
 }
 
@@ -420,21 +421,21 @@ impl Fingerprint {
     }
 }
 
-/// What is there for checks of just that.
+/// Access for checks of plugins, which is used for nothing else.
 impl Plugin {
-    /// What it says that it is, and can do.
+    /// The plugin's description of itself, and its abilities.
     pub(crate) fn about(&self) -> About {
         let migration = self.migration.clone();
         About { descriptor: self.descriptor.clone(), capabilities: self.capabilities, migration }
     }
 
-    /// The tool's description, as it was told at load.
+    /// Description that the plugin gave of itself at load.
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// The tool's calls as it answers them, with error codes, and output of any kind: to measure and check
-    /// them. What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
+    /// Calls of the plugin as it answers them, with error codes, and output of any kind: to measure and check
+    /// them. Deformations for users go by a [`Stack`](crate::Stack), which checks the output.
     pub fn code(&self) -> &dyn Code {
         self.code.as_ref()
     }
@@ -448,13 +449,13 @@ const FARTHEST: f64 = 1e9;
 /// Results that a thread checks at once.
 const CHECKED_TOGETHER: usize = 1 << 14;
 
-/// Whether what follows can work with a position in local coordinates: it is finite, and no coordinate is
-/// beyond 1e9.
+/// Whether the steps that follow can work with a position in local coordinates: all coordinates are finite,
+/// and none is beyond 1e9.
 pub fn is_usable(p: [f64; 3]) -> bool {
     p.iter().all(|x| x.abs() <= FARTHEST)
 }
 
-/// What is wrong with the handles that a plugin places.
+/// Checks the handles that a plugin places; the error names the first defect.
 pub fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
     for (i, handle) in descs.iter().enumerate() {
@@ -490,7 +491,7 @@ pub fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::R
 
 /// The dynamic linker refuses a library, and says why.
 pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
-    // "/path/lib.so: what is wrong": the path is ours to tell.
+    // "/path/lib.so: fault": the path is added by the host.
     let file = path.display();
     let reason = reason.lines().next().unwrap_or_default();
     let reason = reason.strip_prefix(&format!("{file}: ")).unwrap_or(reason);
@@ -503,7 +504,7 @@ pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
     Error::plugin(what, hint)
 }
 
-/// What to do about a mistake of a plugin.
+/// Advice about a mistake of a plugin.
 pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its author";
 
 /// A mistake of a plugin, which is named.
@@ -523,9 +524,9 @@ impl std::fmt::Display for PluginBug {
 
 impl std::error::Error for PluginBug {}
 
-/// Whether an error came of what is a mistake in a plugin for certain: a panic, or an answer that breaks a
-/// rule of the interface. Other errors of plugins are refusals of what they were given, or may have other
-/// causes too, as positions that are not finite have.
+/// Whether an error is certainly a mistake in a plugin: a panic, or an answer that breaks a rule of the
+/// interface. Other errors of plugins are refusals of what they were given, or may have other causes too, as
+/// positions that are not finite have.
 pub fn is_plugins_bug(error: &Error) -> bool {
     std::error::Error::source(error).is_some_and(|source| source.is::<PluginBug>())
 }
@@ -538,16 +539,16 @@ fn refused(path: &Path, what: &str) -> Error {
 /// A plugin's text on one line, of bounded length.
 pub fn line(text: &str) -> String {
     const LONGEST: usize = 500;
-    // What is raw, as what a terminal obeys, separates words as white space does.
+    // A raw character, as one that a terminal obeys, separates words as white space does.
     let words = text.split(|c: char| c.is_whitespace() || is_raw(c)).filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
 }
 
-/// The host as one plugin sees it: passes progress and cancellation on, collects what it says.
+/// Host as one plugin sees it: passes progress and cancellation on, and collects the plugin's messages.
 pub(crate) struct PluginWatch<'a> {
     progress: &'a dyn Progress,
     plugin: &'a str,
-    /// What a fraction of 1 is, in bytes.
+    /// Number of bytes that a fraction of 1 stands for.
     size: u64,
     /// Bytes told so far.
     told: AtomicU64,
@@ -570,7 +571,7 @@ impl<'a> PluginWatch<'a> {
         self.progress.begin_preparation(stage, self.size);
     }
 
-    /// What the plugin said.
+    /// Messages of the plugin.
     pub(crate) fn into_messages(self) -> Vec<Message> {
         self.messages.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
@@ -643,7 +644,7 @@ mod tests {
             assert_eq!(told(&positions, &normals, &spacing), 1, "{i}");
             spacing[i] -= 1.0;
         }
-        // What writes to all of it is seen at once, whichever part is looked at.
+        // A change of all the positions is seen at once, whichever part is looked at.
         positions.iter_mut().for_each(|p| p[0] += 1.0);
         assert_eq!(told(&positions, &normals, &spacing), Fingerprint::PARTS);
     }

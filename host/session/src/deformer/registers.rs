@@ -1,9 +1,9 @@
-//! The processor's registers, and what a plugin leaves in them.
+//! Registers of the processor, and their state after a call of a plugin.
 
-/// How this thread computes: rounding, and what becomes of numbers too small to be normal.
+/// Floating-point modes of this thread: rounding, and the treatment of numbers too small to be normal.
 ///
-/// A plugin may change that for all that follows on the thread: on purpose, to round elsewhere, or as a
-/// library that was built with `-ffast-math`, which does so when it is loaded.
+/// A plugin may change these modes for all that follows on the thread: on purpose, to round elsewhere, or as
+/// a library that was built with `-ffast-math`, which does so when it is loaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Modes {
     #[cfg(target_arch = "x86_64")]
@@ -16,7 +16,7 @@ pub(super) struct Modes {
 
 #[cfg(target_arch = "x86_64")]
 impl Modes {
-    /// Of MXCSR, the bits that tell what has happened; the others say what to do.
+    /// Bits of MXCSR that tell what has happened; the others are the modes.
     const TOLD: u32 = 0x3f;
 
     /// The modes of this thread's registers.
@@ -30,7 +30,7 @@ impl Modes {
         Self { vectors: vectors & !Self::TOLD, stack }
     }
 
-    /// Makes them those of this thread.
+    /// Sets the modes of this thread.
     pub fn set(self) {
         // SAFETY: both read one number, which `current` got from the same register: no reserved bit is set.
         // All code outside of plugins relies on the modes that are set here.
@@ -53,7 +53,7 @@ impl Modes {
         Self { control }
     }
 
-    /// Makes them those of this thread.
+    /// Sets the modes of this thread.
     pub fn set(self) {
         // SAFETY: the value is one that `current` read from this register. All code outside of plugins relies
         // on it.
@@ -65,12 +65,12 @@ impl Modes {
 
 #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
 impl Modes {
-    /// Nothing is known of this processor.
+    /// Modes without content: those of this processor are not known.
     pub fn current() -> Self {
         Self {}
     }
 
-    /// As above.
+    /// Does nothing, as above.
     pub fn set(self) {}
 }
 

@@ -3,8 +3,8 @@
 //! small part of the time.
 //!
 //! D. Levin, *The approximation power of moving least-squares*, Math. Comp. 67 (1998): the weights with which
-//! the value of the best polynomial follows from the values around. What is affine is met but for rounding,
-//! and what bends along the surface to second order.
+//! the value of the best polynomial follows from the values around. Affine motions are met but for rounding,
+//! and those that bend along the surface to second order.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -16,9 +16,11 @@ use std::sync::Arc;
 
 /// Samples that have a word.
 const NEAR: usize = 20;
-/// One, the three coordinates, and what is quadratic along the surface.
+/// Number of terms of the polynomial: one, the three coordinates, and three that are quadratic along the
+/// surface.
 const TERMS: usize = 7;
-/// What the terms that samples of a plane do not tell are held to nothing by.
+/// Regularisation of the terms of the polynomial that samples of a plane do not determine: it holds them to
+/// zero.
 const RIDGE: f64 = 1e-6;
 /// Normals that are less alike than this cosine are of two sides of a thin wall.
 const AWAY: f32 = -0.5;
@@ -28,7 +30,7 @@ const AWAY: f32 = -0.5;
 /// Memory: 160 bytes for each of these.
 pub struct Around(Vec<[Word; NEAR]>);
 
-/// A sample, and how much of its displacement counts.
+/// Sample near an appended one, and the weight of its displacement.
 #[derive(Debug, Clone, Copy)]
 struct Word {
     sample: u32,
@@ -44,7 +46,8 @@ impl Around {
         Self(appended.par_iter().map(|p| words(samples, *p)).collect())
     }
 
-    /// Where all samples of `after` go about, by the deformed positions of those that were there before.
+    /// Positions of all samples of `after`, approximately, by the deformed positions of those that were there
+    /// before.
     pub fn draft(&self, after: &SampledModel, deformed: &[Vec3]) -> Arc<[Vec3]> {
         let (rest, appended) = after.samples.positions.split_at(deformed.len());
         let moved = |word: &Word| {
@@ -60,7 +63,7 @@ impl Around {
     }
 }
 
-/// The weights of the samples nearest to a place, on its side of the surface.
+/// Weights of the samples nearest to a place, on its side of the surface.
 fn words(samples: &SampleSet, p: Vec3) -> [Word; NEAR] {
     let nearest = samples.nearest(p);
     let normals = samples.normals();
@@ -89,7 +92,7 @@ fn words(samples: &SampleSet, p: Vec3) -> [Word; NEAR] {
     let at_the_place = from_fn(|i| if i == 0 { DVec3::X } else { DVec3::ZERO });
     let polynomial = solve_positive_definite(matrix, at_the_place).map(|all| all.map(|x| x.x));
     let Some(polynomial) = polynomial.filter(|all| unit > 0.0 && all.iter().all(|x| x.is_finite())) else {
-        // Where no polynomial is found, the nearest one alone has a say.
+        // Without a polynomial, the nearest sample alone has a weight.
         words[0].weight = 1.0;
         return words;
     };

@@ -9,7 +9,7 @@ use simod_model::{Error, Result};
 use simod_plugin_api::ParamKind;
 use std::path::Path;
 
-/// Where a step that is pasted says it was, if it makes no sense.
+/// Name of the place of a step that is pasted, for errors.
 const CLIPBOARD: &str = "the clipboard";
 
 /// Steps as a text, with all their strokes and selections in it. Files among their parameters are named by
@@ -28,8 +28,8 @@ pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
     Ok(copied)
 }
 
-/// The steps of a text: of what was [copied], or of a session. Files among their parameters are as seen from
-/// `folder`.
+/// Steps of a text: one that was [copied], or that of a session. Paths of files among their parameters are
+/// relative to `folder`.
 ///
 /// # Errors
 /// The text is no session's, names what makes no sense, or has no steps.
@@ -48,7 +48,7 @@ pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     Ok(steps)
 }
 
-/// Makes a step one that is in no file, with its files seen from a folder.
+/// Makes a step one that is in no file, with the paths of its files relative to a folder.
 pub(crate) fn seen_from(step: &mut Step, folder: &Path) {
     step.place.clear();
     if let Action::Deform(deformation) = &mut step.action {
@@ -57,8 +57,7 @@ pub(crate) fn seen_from(step: &mut Step, folder: &Path) {
     }
 }
 
-/// A step whose files are named by whole paths, with where its plugin came from; as far as the plugin is
-/// there to say so.
+/// Step whose files are named by whole paths, with the origin of its plugin; as far as the plugin is there.
 fn with_whole_paths(step: &Step, plugins: &PluginRegistry) -> Result<Step> {
     let mut step = step.clone();
     if let Action::Deform(Deformation { deform, plugin: origin, params, folder, .. }) = &mut step.action

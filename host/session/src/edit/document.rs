@@ -17,13 +17,13 @@ use std::sync::Arc;
 /// change.
 const LONGEST_HISTORY: usize = 1000;
 
-/// One change of a document. Steps are known by their place, 0 for the first.
+/// Command that changes a document. Steps are named by their place, 0 for the first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum EditCommand {
     /// A new step, before the one that is at this place now.
     Add {
-        /// The place that it gets.
+        /// The place that the step gets.
         at: usize,
         /// The step.
         step: Box<Step>,
@@ -57,7 +57,7 @@ pub enum EditCommand {
     Group {
         /// The places of the steps that become a group.
         steps: Range<usize>,
-        /// What the group is called.
+        /// The group's name.
         #[serde(default)]
         name: Option<String>,
     },
@@ -70,21 +70,21 @@ pub enum EditCommand {
     },
     /// All steps of a group are switched on, or off.
     EnableGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
-        /// Whether the group's steps are switched on.
+        /// Whether the group's steps are to be switched on.
         enabled: bool,
     },
     /// The steps of a group get other places, one after the other.
     MoveGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
-        /// The place of the first of them afterwards.
+        /// The place of the first of the group's steps afterwards.
         to: usize,
     },
     /// The steps of a group go away.
     RemoveGroup {
-        /// The place of one of them.
+        /// The place of one of the group's steps.
         at: usize,
     },
     /// The step becomes another one.
@@ -96,37 +96,37 @@ pub enum EditCommand {
     },
 }
 
-/// One change of a step.
+/// Change of a step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Change {
     /// The step is done, or left out.
     Enable(bool),
-    /// The step is called otherwise; nothing for what its plugin is called.
+    /// The step gets another title; none for the name of its plugin.
     SetTitle(Option<String>),
-    /// Another amount of it is done, from 0 to 1.
+    /// Another amount of the deformation is done, from 0 to 1.
     SetAmount(f64),
     /// A parameter gets a value.
     SetParam {
         /// The parameter's id.
         id: String,
-        /// As in a session file; nothing for the default.
+        /// The value as in a session file; none for the default.
         #[serde(default)]
         value: Option<toml::Value>,
     },
-    /// Other regions take the place of those that are there.
+    /// Other regions take the place of the former ones.
     SetRegions(Vec<Region>),
     /// A handle region is moved.
     MoveRegion {
         /// The region's place among those of the step.
         region: usize,
-        /// From the rest pose, whatever it was before.
+        /// The motion from the rest pose, whatever it was before.
         motion: Motion,
     },
-    /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of
-    /// those that are gone go with them.
+    /// Other joints take the place of the former ones, each after the joint that it hangs on. Motions of
+    /// joints that are gone go with them.
     SetJoints(Vec<Joint>),
-    /// A joint is called otherwise, with its motion and what hangs on it.
+    /// A joint gets another id, and so do its motion and the joints that hang on it.
     RenameJoint {
         /// The joint's id.
         from: String,
@@ -137,7 +137,7 @@ pub enum Change {
     MoveHandle {
         /// The handle's id.
         id: String,
-        /// From the rest pose, whatever it was before.
+        /// The motion from the rest pose, whatever it was before.
         motion: Motion,
     },
     /// Handles that the plugin placed are moved together.
@@ -148,7 +148,7 @@ pub enum Change {
     SetStroke {
         /// The stroke's place among those of the step.
         stroke: usize,
-        /// The stroke that it becomes.
+        /// The new stroke.
         to: Arc<Stroke>,
     },
     /// A stroke goes away.
@@ -160,7 +160,7 @@ pub enum Change {
     SetRefine(Refine),
 }
 
-/// What a drag changes again and again.
+/// Part of a document that a drag changes again and again.
 #[derive(Debug, Clone, PartialEq)]
 enum DragTarget {
     Param(StepId, String),
@@ -171,18 +171,18 @@ enum DragTarget {
     Stroke(StepId, usize),
 }
 
-/// The steps, and how they were before.
+/// Steps of an edit, with the changes that can be undone or done again.
 #[derive(Debug, Default)]
 pub struct Document {
     steps: Arc<[Entry]>,
-    /// What was done, oldest first, with the steps before it.
+    /// Changes that were done, oldest first, with the steps before them.
     undo: VecDeque<(String, Arc<[Entry]>)>,
-    /// What was undone, oldest first, with the steps after it.
+    /// Changes that were undone, oldest first, with the steps after them.
     redo: Vec<(String, Arc<[Entry]>)>,
     next: u64,
-    /// How many changes have been done, less those undone.
+    /// Number of changes that have been done, less those undone.
     depth: u64,
-    /// What the last command changed, if the next one of the same is part of it.
+    /// Part that the last command changed, if a next command on the same part belongs to it.
     dragged: Option<DragTarget>,
     /// Steps that were switched off for another one.
     silenced: Vec<StepId>,
@@ -206,8 +206,8 @@ impl Document {
         &self.steps
     }
 
-    /// Does a command. Those that follow each other and set the same thing, as while a handle is dragged, are
-    /// undone as one, until [`rest`](Self::rest).
+    /// Does a command. Commands that follow each other and set the same thing, as while a handle is dragged,
+    /// are undone as one, until [`rest`](Self::rest).
     ///
     /// # Errors
     /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the
@@ -224,21 +224,21 @@ impl Document {
         Ok(())
     }
 
-    /// Steps that can take the place of those that are there, by [`replace`](Self::replace): they are other
-    /// ones than all that this document has had.
+    /// Entries for steps that can take the place of the document's, by [`replace`](Self::replace): their ids
+    /// are none that this document has had.
     pub fn entries(&mut self, steps: impl IntoIterator<Item = Step>) -> Arc<[Entry]> {
         steps.into_iter().map(|step| self.entry(step)).collect()
     }
 
-    /// Takes other steps instead of all that are there; `label` says what that is. They are some that the
-    /// document has had, or [its entries](Self::entries).
+    /// Replaces all steps by others; `label` names the change. The others are some that the document has had,
+    /// or [its entries](Self::entries).
     pub fn replace(&mut self, label: &str, steps: Arc<[Entry]>) {
         self.rest();
         let before = std::mem::replace(&mut self.steps, steps);
         self.done(label.to_owned(), before);
     }
 
-    /// What was done can be undone.
+    /// Records a change, which can be undone.
     fn done(&mut self, label: String, before: Arc<[Entry]>) {
         self.undo.push_back((label, before));
         self.depth += 1;
@@ -248,12 +248,12 @@ impl Document {
         self.redo.clear();
     }
 
-    /// The drag ends: what comes next is undone by itself.
+    /// Ends a drag: the next change is undone by itself.
     pub fn rest(&mut self) {
         self.dragged = None;
     }
 
-    /// Takes the last command back, and says what it was; nothing where there is none.
+    /// Takes the last command back, and returns its label; none where there is none.
     pub fn undo(&mut self) -> Option<String> {
         self.rest();
         let (label, before) = self.undo.pop_back()?;
@@ -262,7 +262,7 @@ impl Document {
         Some(label)
     }
 
-    /// Does again what was undone last, and says what it was; nothing where there is none.
+    /// Does again the command that was undone last, and returns its label; none where there is none.
     pub fn redo(&mut self) -> Option<String> {
         self.rest();
         let (label, after) = self.redo.pop()?;
@@ -276,18 +276,18 @@ impl Document {
         is_alone(&self.steps, at)
     }
 
-    /// How many changes have been done, however many of them can still be undone: it goes down by one with
-    /// each that is.
+    /// Number of changes that have been done, however many of them can still be undone: each change that is
+    /// undone lowers it by one.
     pub fn depth(&self) -> u64 {
         self.depth
     }
 
-    /// What [`undo`](Self::undo) would take back.
+    /// Label of the change that [`undo`](Self::undo) would take back.
     pub fn can_undo(&self) -> Option<&str> {
         self.undo.back().map(|(label, _)| label.as_str())
     }
 
-    /// What [`redo`](Self::redo) would do again.
+    /// Label of the change that [`redo`](Self::redo) would do again.
     pub fn can_redo(&self) -> Option<&str> {
         self.redo.last().map(|(label, _)| label.as_str())
     }
@@ -337,7 +337,7 @@ impl Document {
         Ok(steps.into())
     }
 
-    /// All other deformations are switched off, or on again.
+    /// Switches all other deformations off, or on again.
     fn solo(&mut self, steps: &mut [Entry], at: usize) -> Result<()> {
         let deforms = |entry: &Entry| entry.step.deformation().is_some();
         if !deforms(&steps[at]) {
@@ -440,7 +440,7 @@ fn check_place(at: usize, end: usize, count: usize) -> Result<()> {
     Err(Error::argument(what, "places are counted from 0"))
 }
 
-/// Does one of the commands that are of groups; the others are done [before](Document::changed).
+/// Does a command on groups; commands of other kinds are done [before](Document::changed).
 fn change_groups(steps: &mut Vec<Entry>, command: EditCommand) -> Result<()> {
     let count = steps.len();
     let check = |at: usize, end: usize| check_place(at, end, count);
@@ -492,7 +492,7 @@ fn group(steps: &[Entry], at: usize) -> Result<Range<usize>> {
     groups::group_at(steps, at).ok_or_else(none)
 }
 
-/// Whether all deformations but that at a place are switched off, and there are others.
+/// Whether all deformations but the one at a place are switched off, and there are others.
 fn is_alone(steps: &[Entry], at: usize) -> bool {
     let is_other = |(place, entry): &(usize, &Entry)| *place != at && entry.step.deformation().is_some();
     let mut others = steps.iter().enumerate().filter(is_other).peekable();
@@ -549,7 +549,7 @@ fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
         Change::SetParam { id, value: None } => drop(step.params.remove(&id)),
         Change::SetRegions(mut regions) => {
             for region in &mut regions {
-                // A handle that becomes another region stays where it is.
+                // A handle region that gets another role stays where it is.
                 if region.role != Role::Handle {
                     region.motion = Motion::default();
                 }
@@ -583,7 +583,7 @@ fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
         }
         Change::RemoveStroke { stroke } if stroke < step.strokes.len() => drop(step.strokes.remove(stroke)),
         Change::RemoveStroke { stroke } => return Err(no_stroke(stroke, step.strokes.len())),
-        // Of all steps, or of refinements.
+        // Changes of steps in general, or of refinements.
         Change::Enable(_) | Change::SetTitle(_) | Change::SetRefine(_) => return Err(of_another_kind()),
     }
     Ok(())

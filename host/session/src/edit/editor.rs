@@ -20,26 +20,26 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
-/// An edit with its files. It is quick to work on: the model itself is in the [`Evaluation`] that comes with
-/// it, which may be on another thread.
+/// Edit with its files. Its calls are quick: the model itself is in the [`Evaluation`] that comes with it,
+/// which may be on another thread.
 pub struct Editor {
-    /// What it is called, and all but the steps.
+    /// The session with its name and all but the steps.
     session: SessionFile,
     path: Option<PathBuf>,
-    /// What it is kept beside while it has no file.
+    /// Path beside which the edit is kept against a crash while it has no file.
     opened: PathBuf,
     document: Document,
     plugins: Arc<PluginRegistry>,
-    /// The steps as they were saved last, or as they were at first; nothing where those that were at first
-    /// are in no file.
+    /// Steps as they were saved last, or as they were at first; none where those that were at first are in no
+    /// file.
     saved: Option<Arc<[Entry]>>,
-    /// The steps as they were kept last against a crash, or that are not to be kept.
+    /// Steps as they were kept last against a crash, or that are not to be kept.
     kept: Arc<[Entry]>,
 }
 
 impl Editor {
-    /// Samples a session's model, to edit it, and gives what does its steps. `path` is the session's file, if
-    /// it has one.
+    /// Samples a session's model, to edit it, and returns the editor with the evaluation that does its steps.
+    /// `path` is the session's file, if it has one.
     ///
     /// # Errors
     /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as
@@ -92,20 +92,21 @@ impl Editor {
         (Self { session, path, opened, document, plugins, saved, kept }, evaluation)
     }
 
-    /// This editor, of what is in no file that was saved, as what was [kept against a crash](recover).
+    /// Returns this editor, of an edit that is in no saved file, such as one that was [kept against a
+    /// crash](recover).
     #[must_use]
     pub fn unsaved(self) -> Self {
         Self { saved: None, ..self }
     }
 
-    /// This editor, opened by another path than its model's, as by the folder of its samples: what it is kept
-    /// beside until it has a file.
+    /// Returns this editor, opened by another path than its model's, as by the folder of its samples: beside
+    /// that path the edit is kept until it has a file.
     #[must_use]
     pub fn opened_by(self, path: &Path) -> Self {
         Self { opened: path.to_owned(), ..self }
     }
 
-    /// What turns with the surface besides normals, when the model is written.
+    /// Attributes that turn with the surface besides normals, when the model is written.
     pub fn follow(&self) -> Follow {
         Follow::default().or_declared(&self.session.follow)
     }
@@ -120,7 +121,7 @@ impl Editor {
         &mut self.document
     }
 
-    /// The plugins that its steps are of.
+    /// Plugins of the edit's steps.
     pub fn plugins(&self) -> &Arc<PluginRegistry> {
         &self.plugins
     }
@@ -130,12 +131,12 @@ impl Editor {
         self.plugins = plugins;
     }
 
-    /// The model that is edited, as far as the session knows it.
+    /// Path of the model that is edited, as far as the session names it.
     pub fn model(&self) -> Option<&Path> {
         self.session.model.as_deref()
     }
 
-    /// Where the deformed model goes, if the session says so.
+    /// Path of the deformed model, if the session names it.
     pub fn output(&self) -> Option<&Path> {
         self.session.output.as_deref()
     }
@@ -145,12 +146,12 @@ impl Editor {
         self.path.as_deref()
     }
 
-    /// Says where the deformed model goes, when the session is saved the next time.
+    /// Sets the path of the deformed model, which the session names when it is saved the next time.
     pub fn set_output(&mut self, output: PathBuf) {
         self.session.output = Some(output);
     }
 
-    /// Whether the session's file has all that was done.
+    /// Whether the session's file has all changes.
     pub fn is_saved(&self) -> bool {
         self.path.is_some() && self.is_as_saved()
     }
@@ -159,8 +160,8 @@ impl Editor {
         self.saved.as_ref().is_some_and(|saved| Arc::ptr_eq(saved, self.document.steps()))
     }
 
-    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. What was
-    /// kept against a crash is not needed any more, and removed.
+    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. The copy
+    /// that was kept against a crash is not needed any more, and removed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -176,8 +177,8 @@ impl Editor {
         [&former, path, &self.opened].into_iter().try_for_each(forget)
     }
 
-    /// Removes what was kept against a crash: the user does not want these steps. They are kept again once
-    /// they change.
+    /// Removes the copy that was kept against a crash: the user does not want these steps. They are kept
+    /// again once they change.
     ///
     /// # Errors
     /// The file cannot be removed.
@@ -190,9 +191,9 @@ impl Editor {
         self.path.as_deref().unwrap_or(&self.opened)
     }
 
-    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside what was opened if
-    /// the session has none yet; if there is anything new to keep. [`recover`] gives them back. Where the
-    /// steps are again as they were saved, or as they were at first, there is nothing to be kept.
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside the file that was
+    /// opened if the session has none yet; if there is anything new to keep. [`recover`] returns them. Where
+    /// the steps are again as they were saved, or as they were at first, there is nothing to be kept.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -209,20 +210,20 @@ impl Editor {
         }
         let path = autosave_path(self.kept_beside());
         let used = self.session_at(&path)?.save(&path)?;
-        // The former files beside the kept session go, as nobody else knows of them.
+        // Former files beside the kept session are removed, as no other session uses them.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
         Ok(())
     }
 
-    /// The session as it would be saved at a place.
+    /// Session as it would be saved at a path.
     fn session_at(&self, path: &Path) -> Result<SessionFile> {
         let steps = self.document.steps().iter().map(|entry| (*entry.step).clone()).collect();
         saved_at(&SessionFile { steps, ..self.session.clone() }, path, &self.plugins)
     }
 }
 
-/// A deformation whose files are named as seen from another folder, with where its plugin came from.
+/// Deformation whose files are named relative to another folder, with the origin of its plugin.
 fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<Deformation> {
     let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
     let Ok(plugin) = plugins.get(&from.deform) else { return Ok(to) };
@@ -237,8 +238,8 @@ fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<
     Ok(to)
 }
 
-/// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came
-/// from.
+/// Session as it is saved at a path: its steps name files relative to there, and the origins of their
+/// plugins.
 ///
 /// # Errors
 /// A file cannot be named in a text.
@@ -260,22 +261,22 @@ fn autosave_path(session: &Path) -> PathBuf {
     folder_of(session).join(name)
 }
 
-/// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the
-/// program ended; nothing where all was saved.
+/// Session that was kept of an edit of `path` (a session or, where the edit had no file yet, a model) that
+/// was not saved before the program ended; none where all was saved.
 ///
 /// # Errors
-/// There is something, but it cannot be read.
+/// A session was kept, but it cannot be read.
 pub fn recover(path: &Path) -> Result<Option<SessionFile>> {
     let kept = autosave_path(path);
     if !kept.exists() { Ok(None) } else { SessionFile::load(&kept).map(Some) }
 }
 
-/// When something was kept of a session or a model that was not saved before the program ended, if it was.
+/// Time at which an unsaved edit of a session or a model was kept before the program ended, if one was.
 pub fn kept_at(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(autosave_path(path)).and_then(|kept| kept.modified()).ok()
 }
 
-/// Removes what was kept of a session: the user does not want it.
+/// Removes the kept copy of a session: the user does not want it.
 ///
 /// # Errors
 /// The file cannot be removed.

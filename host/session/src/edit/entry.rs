@@ -1,4 +1,4 @@
-//! A step of a document, and what it is known by.
+//! A step of a document, and the number by which it is known.
 
 use crate::step::Step;
 use std::sync::Arc;

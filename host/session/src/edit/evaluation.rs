@@ -1,4 +1,5 @@
-//! The steps of an edit, done on a sampled model: each as far as it, or what comes before it, has changed.
+//! Evaluation of the steps of an edit on a sampled model: each step is done again only where it, or a step
+//! before it, has changed.
 
 use super::around::Around;
 use super::entry::{Entry, StepId};
@@ -30,7 +31,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub enum Status {
     /// The step is switched off.
     Off,
-    /// The step was done; what the plugin had to say.
+    /// The step was done, with the messages of the plugin.
     Done(Vec<Message>),
     /// The step could not be done. The samples are those after the steps before it.
     Failed(Error),
@@ -39,7 +40,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// How a step fared that was done.
+    /// Status of a step that was done, or tried.
     ///
     /// # Errors
     /// The user cancelled.
@@ -52,19 +53,19 @@ impl Status {
     }
 }
 
-/// What became of the samples.
+/// Result of the steps on the samples.
 pub struct Evaluated {
     /// The model with its samples at rest, those of refinements among them.
     pub sampled: Arc<SampledModel>,
     /// Local positions after the last step that was done, one for each sample.
     pub positions: Arc<[Vec3]>,
-    /// How each step fared, in their order.
+    /// Status of each step, in their order.
     pub statuses: Vec<(StepId, Status)>,
-    /// Where the steps of plugins that take joints put the handles that they placed: local coordinates, one
-    /// for each handle. Not of those whose map is not known.
+    /// Positions to which the steps of plugins that take joints move the handles that they placed: local
+    /// coordinates, one for each handle. None of steps whose map is not known.
     pub posed: Vec<(StepId, Arc<[DVec3]>)>,
-    /// What each step began with, up to the one that failed, in their order: local positions, of fewer
-    /// samples if refinements follow. There its regions, strokes and joints are.
+    /// Positions that each step began with, up to the one that failed, in their order: local positions, of
+    /// fewer samples if refinements follow. The step's regions, strokes and joints are in that space.
     pub before: Vec<Arc<[Vec3]>>,
     /// The exact map of the steps that were done, where all plugins know it.
     pub stack: PreparedStack,
@@ -79,7 +80,7 @@ impl Evaluated {
         })
     }
 
-    /// What came of the steps, with what users should know of the plugins that did the steps: see
+    /// Returns the result with notices that users should know of the plugins that did the steps: see
     /// [`PluginRegistry::notices`].
     #[must_use]
     pub fn with_notices(mut self, steps: &[Entry], registry: &PluginRegistry) -> Self {
@@ -95,8 +96,8 @@ impl Evaluated {
         self
     }
 
-    /// The deformed samples as a file of them holds them. Where all of them go far, what plugins give in
-    /// single precision is coarse: where all plugins know their map, it is evaluated in double precision
+    /// Deformed samples, rounded as a file holds them. Where all of them go far, positions that plugins give
+    /// in single precision are coarse: where all plugins know their map, it is evaluated in double precision
     /// instead.
     ///
     /// # Errors
@@ -113,8 +114,8 @@ impl Evaluated {
         Ok(sampled.rounded_places(places))
     }
 
-    /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
-    /// sampled, and `follow` what turns with the surface.
+    /// Writes the deformed model, whole or not at all. `model` is the model's path, if it was moved since it
+    /// was sampled, and `follow` has the rules for attributes that turn with the surface.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
@@ -137,7 +138,7 @@ impl Evaluated {
     }
 }
 
-/// The gradients at the samples, where anything of the model turns by them and all plugins know their map.
+/// Gradients at the samples, where any attribute of the model turns by them and all plugins know their map.
 ///
 /// # Errors
 /// A plugin fails; the user cancelled.
@@ -154,7 +155,7 @@ pub fn turning_gradients(
     known_gradients(sampled, &map).map(Some)
 }
 
-/// What the plugins had to say.
+/// Messages of the plugins.
 ///
 /// # Errors
 /// The first step that could not be done.
@@ -170,17 +171,17 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
     Ok(messages)
 }
 
-/// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
-/// the positions.
+/// Evaluation that does steps again and again, and keeps of each step the data that the next time may need:
+/// the state that the plugin prepared, and the positions.
 ///
-/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step, twice as many of those that a
-/// drag moves; a copy of the samples for each refinement. What is of steps that are gone, or switched off, is
-/// let go.
+/// Memory: that of the plugins, 28 bytes a sample, and 12 a sample and step, twice as many for steps that a
+/// drag moves; a copy of the samples for each refinement. Memory of steps that are gone, or switched off, is
+/// freed.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
-    /// Where the samples are before the first step, if not at rest.
+    /// Positions of the samples before the first step, local coordinates, if not at rest.
     start: Option<Arc<[Vec3]>>,
-    /// What the first step begins with, from the first time on.
+    /// Rest shape of the first step, from the first time on.
     beginning: Option<Arc<LayerRest>>,
     how: Refinements,
     known: HashMap<StepId, StepState>,
@@ -190,17 +191,17 @@ pub struct Evaluation {
 /// Options of refinement steps: the model that they read again, memory and temporary files, and the time.
 #[derive(Debug, Clone, Default)]
 pub struct Refinements {
-    /// The model, if it was moved since it was sampled.
+    /// Path of the model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
-    /// Where temporary files without a name are made.
+    /// Folder in which temporary files without a name are made.
     pub folder: PathBuf,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// For plugins that take the time.
+    /// Time for plugins that take it.
     pub time: Time,
 }
 
-/// What is known of a step.
+/// State of a step as it was done last.
 enum StepState {
     Deform {
         step: Arc<Step>,
@@ -212,7 +213,7 @@ enum StepState {
         before: Arc<SampledModel>,
         after: Arc<SampledModel>,
         rest: Arc<LayerRest>,
-        /// For drafts, from the first one on.
+        /// Weights for drafts, from the first draft on.
         around: Option<Arc<Around>>,
     },
 }
@@ -225,7 +226,7 @@ struct Between {
 }
 
 impl Evaluation {
-    /// Nothing is done yet. If there are steps that refine, the model has to [hold its
+    /// Evaluation that has done nothing yet. If there are steps that refine, the model has to [hold its
     /// cells](SampledModel::hold_cells).
     pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
         Self { sampled, start: None, beginning: None, how, known: HashMap::new(), at: Arc::default() }
@@ -245,7 +246,7 @@ impl Evaluation {
         Ok(Self { start: Some(positions), beginning: None, ..self })
     }
 
-    /// For other steps on the same samples: nothing is done yet.
+    /// Evaluation of other steps on the same samples, which has done nothing yet.
     pub fn another(&self) -> Self {
         Self::new(self.sampled.clone(), self.how.clone())
     }
@@ -315,7 +316,7 @@ impl Evaluation {
         Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, posed, before, stack })
     }
 
-    /// What the first step begins with: made once, as a drag asks for it in each picture.
+    /// Rest shape of the first step: made once, as a drag asks for it in each picture.
     ///
     /// # Errors
     /// The samples cannot be deformed at all.
@@ -325,7 +326,7 @@ impl Evaluation {
         }
         let start = self.start.clone();
         let rest = with_shape(&self.sampled, |shape| match start {
-            // What it stands for is the same each time.
+            // Key of the start, which is the same each time.
             Some(positions) => shape.rest_at(positions, 1),
             None => shape.rest(0),
         })?;
@@ -341,8 +342,8 @@ impl Evaluation {
         }
     }
 
-    /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for
-    /// a place bends the bones above it, whose handles have not moved.
+    /// Positions of the handles that a step's plugin placed, after the step, if the plugin takes joints: an
+    /// end that reaches for a place bends the bones above it, whose handles have not moved.
     fn posed(&self, id: StepId, done: &LayerResult, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
         let handles = self.handles(id).filter(|handles| !handles.descs.is_empty())?;
         let Some(StepState::Deform { layer, .. }) = self.known.get(&id) else { return None };
@@ -382,7 +383,7 @@ impl Evaluation {
         done
     }
 
-    /// The layer of a step, and what is kept of it; both leave their place.
+    /// Layer of a step, and its cache; both are taken out of the evaluation.
     fn layer(
         &mut self,
         id: StepId,
@@ -404,7 +405,7 @@ impl Evaluation {
         match Layer::build(deformation, &step.place, registry, before.as_ref().map(|(_, layer)| &**layer)) {
             Ok(layer) => Ok((Box::new(layer), kept)),
             Err(e) => {
-                // What is wrong may be corrected.
+                // The step may be corrected: its former layer is kept.
                 if let Some((step, layer)) = before {
                     self.known.insert(id, StepState::Deform { step, layer, kept });
                 }
@@ -452,7 +453,7 @@ impl Evaluation {
         Ok(between)
     }
 
-    /// Reads the model again where it is selected.
+    /// Refines the samples by reading the model again where it is selected.
     fn refined(
         &self,
         step: &Refine,
@@ -479,7 +480,7 @@ impl Evaluation {
     }
 }
 
-/// Why a deformation gets no more samples.
+/// Reason for which a deformation gets no more samples.
 fn no_more_samples(need: &SamplesNeed) -> String {
     if need.is_met {
         return "the deformation needs no more samples".to_owned();
@@ -489,7 +490,7 @@ fn no_more_samples(need: &SamplesNeed) -> String {
     format!("nothing is refined: {more}, but {}", SamplesNeed::NONE_LEFT)
 }
 
-/// Why a refinement adds nothing.
+/// Reason for which a refinement adds nothing.
 fn nothing_to_refine(finer: Finer) -> &'static str {
     match finer {
         Finer::Error(error) if error > 0.0 => "nothing is refined: no cluster there has a larger error",
@@ -497,7 +498,7 @@ fn nothing_to_refine(finer: Finer) -> &'static str {
     }
 }
 
-/// Calls with the deformation so far; nothing where nothing has moved yet.
+/// Calls with the field of the deformation so far; with none where no sample has moved yet.
 fn with_field<T>(
     sampled: &SampledModel,
     positions: &[Vec3],
@@ -522,7 +523,7 @@ fn with_appended(
     deformed.iter().copied().chain(more).collect()
 }
 
-/// Calls with the samples as deformations take them.
+/// Calls with the samples in the form in which deformations take them.
 fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T) -> T {
     let samples = &sampled.samples;
     call(&RestShape {

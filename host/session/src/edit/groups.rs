@@ -1,11 +1,11 @@
-//! Groups of steps: steps that follow each other and have the same word for it. Steps do the same in a group
-//! as out of it; a group is switched, moved and named as one.
+//! Groups of steps: steps that follow each other and have the same word as their group. Steps do the same in
+//! a group as out of it; a group is switched, moved and named as one.
 
 use super::entry::Entry;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The steps of the group that a step is in, by their places; nothing where it is in none.
+/// Places of the steps of the group that a step is in; none where it is in no group.
 pub fn group_at(steps: &[Entry], at: usize) -> Option<Range<usize>> {
     let name = steps.get(at)?.step.group.as_ref()?;
     let is_in = |entry: &&Entry| entry.step.group.as_ref() == Some(name);
@@ -28,7 +28,7 @@ pub(super) fn set(entries: &mut [Entry], name: Option<&String>) {
     }
 }
 
-/// Steps were taken out of a group: what is left of it behind them is one of its own.
+/// Parts a group from which steps were taken out: the steps behind them become a group of their own.
 pub(super) fn part(steps: &mut [Entry], taken: Range<usize>) {
     let (before, behind) = (taken.start.checked_sub(1), taken.end);
     let Some(Range { end, .. }) = group_at(steps, behind) else { return };
@@ -39,13 +39,13 @@ pub(super) fn part(steps: &mut [Entry], taken: Range<usize>) {
     }
 }
 
-/// The place itself, or that behind the group which it is within.
+/// Place for a step: the place itself, or the one behind the group which it is within.
 pub(super) fn gap_at(steps: &[Entry], at: usize) -> usize {
     group_at(steps, at).filter(|group| group.start < at).map_or(at, |group| group.end)
 }
 
-/// A step has come to a place: it is of the group that it has come into; of its own where it is beside it;
-/// and of none elsewhere.
+/// Settles the group of a step that has come to a place: it joins the group that it has come into; it stays
+/// in its own where it is beside that; and elsewhere it is in none.
 pub(super) fn settle(steps: &mut [Entry], at: usize) {
     let of = |place: Option<usize>| steps.get(place?)?.step.group.clone();
     let (before, own, behind) = (of(at.checked_sub(1)), of(Some(at)), of(Some(at + 1)));
@@ -57,8 +57,8 @@ pub(super) fn settle(steps: &mut [Entry], at: usize) {
     set(&mut steps[at..=at], group.as_ref());
 }
 
-/// New steps have come to some places: they are of the group that they have come into; elsewhere they keep
-/// theirs, by names that are free.
+/// Settles the groups of new steps that have come to some places: they join the group that they have come
+/// into; elsewhere they keep their own, by names that are free.
 pub(super) fn settle_new(steps: &mut [Entry], new: Range<usize>) {
     let of = |place: Option<usize>| steps.get(place?)?.step.group.clone();
     let (before, behind) = (of(new.start.checked_sub(1)), of(Some(new.end)));

@@ -36,7 +36,7 @@ fn count(call: usize) {
     CALLS.set(calls);
 }
 
-/// How often it prepared and deformed since this was asked last.
+/// Numbers of preparations and of deformations since these were asked last.
 fn calls() -> [usize; 2] {
     CALLS.replace([0; 2])
 }
@@ -181,7 +181,7 @@ fn registry() -> Arc<PluginRegistry> {
     REGISTRY.with(Arc::clone)
 }
 
-/// What the steps make of the samples when they are done once, from nothing.
+/// Positions of the samples when the steps are done once, from nothing.
 fn from_nothing(document: &Document) -> Vec<Vec3> {
     let again = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
     update(&mut evaluation(), &again, api::Effort::FULL).positions.to_vec()
@@ -318,7 +318,7 @@ fn what_fails_leaves_what_comes_before_it() {
         assert_eq!(*evaluated.positions, below);
         let (id, error) = evaluated.failure().unwrap();
         assert_eq!(id, document.steps()[1].id);
-        // What is wrong with a parameter is told with its own line.
+        // A mistake in a parameter is told with the parameter's own line.
         let line = if message.contains("plugin") { 1 } else { 3 };
         let place = format!("s.toml, line {line}: ");
         assert!(error.to_string().contains(message) && error.to_string().starts_with(&place), "{error}");
@@ -360,7 +360,7 @@ fn a_drag_is_undone_as_one() {
     assert_eq!(at(&document), 0.0);
     document.redo();
     assert_eq!(at(&document), 3.0);
-    // What follows an undo is another drag, and nothing can be done again.
+    // A move after an undo is another drag, and nothing can be done again.
     document.apply(to(9.0)).unwrap();
     assert_eq!((at(&document), document.can_redo()), (9.0, None));
     document.undo();
@@ -528,7 +528,8 @@ fn one_step_alone_and_the_others_again() {
     document.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&document), [false, true, false, true], "another one");
     assert!(document.apply(EditCommand::Solo { at: 1 }).is_err());
-    // Of one that was opened so, all others are meant.
+    // A document that was opened with a single step switched on knows no steps that it switched off: all
+    // others are meant.
     let mut opened = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
     opened.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&opened), [true; 4]);
@@ -559,7 +560,8 @@ fn groups_are_switched_moved_and_removed_as_one() {
     };
     done(named(1..3, "arms"), "0(12)345");
     done(named(4..6, "legs"), "0(12)3(45)");
-    // What comes into a group is of it, what leaves it is not, and what stays beside it is.
+    // A step that comes into a group belongs to it, one that leaves it does not, and one that stays beside it
+    // keeps it.
     done(EditCommand::Move { from: 3, to: 2 }, "0(132)(45)");
     done(EditCommand::Move { from: 2, to: 0 }, "30(12)(45)");
     done(EditCommand::Move { from: 2, to: 3 }, "30(21)(45)");
@@ -741,7 +743,7 @@ fn what_was_not_saved_can_be_recovered() {
     assert!(editor.is_saved() && recover(&path).unwrap().is_none());
     assert_eq!(files().iter().filter(|name| name.starts_with('.')).count(), 0, "{:?}", files());
     assert_eq!(saved_steps(&SessionFile::load(&path).unwrap()).len(), 2);
-    // What somebody does not want is gone.
+    // An edit that the user does not want is gone.
     editor.document_mut().apply(EditCommand::Remove { at: 0 }).unwrap();
     editor.autosave().unwrap();
     forget(&path).unwrap();
@@ -955,7 +957,7 @@ fn drafts_below_a_refinement_are_near_the_result() {
     let worst = draft[deformed.len()..].iter().zip(&exact).map(off).fold(0.0, f32::max);
     let spacing = after.samples.spacing()[deformed.len()..].iter().copied().fold(f32::INFINITY, f32::min);
     assert!(worst < 0.02 * spacing, "{worst} of {spacing}");
-    // What nothing moves stays to the bit, and what is affine is met.
+    // Samples that nothing moves stay to the bit, and an affine motion is met.
     assert_eq!(*around.draft(&after, &before.samples.positions), after.samples.positions);
     let turn = glam::Affine3A::from_axis_angle(Vec3::new(0.6, 0.0, 0.8), 2.0);
     let turned = |all: &[Vec3]| all.iter().map(|p| turn.transform_point3(*p)).collect::<Vec<Vec3>>();

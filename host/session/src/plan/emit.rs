@@ -13,7 +13,8 @@ use super::units::{FINISHED, Stage, Unit};
 pub enum Emit {
     /// `Makefile`, for as many processes at a time as `make -j` says.
     Make,
-    /// `slurm.sh`, which submits a job for each stage, arrays for those of several units.
+    /// The script `slurm.sh`, which submits a job for each stage, and arrays of jobs for stages of several
+    /// units.
     Slurm,
     /// `commands.txt`, a line for each unit, by stages: for render farms.
     Commands,
@@ -54,7 +55,7 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// The plan for `make`, in whose words a dollar is two.
+/// Text of the plan for `make`, in whose language a dollar is written twice.
 fn makefile(units: &[Unit], program: &str) -> String {
     let file = |number: &usize| units[*number].writes.display().to_string();
     let mut text = format!(
@@ -69,7 +70,7 @@ fn makefile(units: &[Unit], program: &str) -> String {
     };
     let parts: Vec<String> = units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
     if !parts.is_empty() {
-        // These files are removed in the end, and not made again for that.
+        // Units remove these files in the end, and make does not make them again for that.
         let _ = writeln!(text, ".SECONDARY: {}\n", parts.join(" "));
     }
     for Unit { number, stage, after, .. } in units {

@@ -1,4 +1,4 @@
-//! The folder of a plan, of whatever: what may be replaced there, and what is written first.
+//! Folder of a plan of any kind: the files that may be replaced there, and those that are written first.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ pub fn check_target(folder: &Path) -> Result<()> {
     if !folder.join(PLAN).is_file() {
         return refused("exists and is no plan".to_owned());
     }
-    // What is replaced is removed: nothing of the user's own.
+    // A former plan is removed: its folder must hold nothing of the user's own.
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
     let foreign = |name: &OsString| !name.to_str().is_some_and(is_own);
     match entries.flatten().map(|entry| entry.file_name()).find(foreign) {
@@ -37,7 +37,7 @@ pub fn check_target(folder: &Path) -> Result<()> {
     }
 }
 
-/// Whether a file in a plan's folder is of the plan, its units or its engines.
+/// Whether a file in a plan's folder belongs to the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
     let fixed = [
         PLAN,
@@ -72,8 +72,8 @@ fn is_own(name: &str) -> bool {
     fixed.contains(&name) || Emit::FILES.contains(&name) || numbered.into_iter().any(is_numbered)
 }
 
-/// Puts a plan, and the scripts of engines for its units, into a folder that was begun, and that in its
-/// place.
+/// Puts a plan, and the scripts of engines for its units, into a folder that was begun, and that folder in
+/// its place.
 pub fn put<P: Serialize>(
     new: OutputFolder,
     (plan, units): (&P, &[Unit]),

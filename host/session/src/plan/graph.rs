@@ -1,4 +1,4 @@
-//! The content of `plan.toml`: units, and what each comes after.
+//! Content of `plan.toml`: units, and the units that each comes after.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,41 +11,41 @@ use simod_model::{ModelName, Normals, Result};
 use super::units::{Planned, Stage, Unit, check_units, read};
 use crate::session_file::SessionTime;
 
-/// What is written on the first line of `plan.toml`.
+/// Format that the first line of `plan.toml` names.
 pub(super) const FORMAT: &str = "simod-plan/1";
 
 /// The counts of all vertices.
 pub(super) const COUNTS: &str = "counts.bin";
 
-/// Where runs of faces begin, where that has to be found.
+/// Starts of runs of faces, where these have to be found.
 pub(super) const FACE_RUNS: &str = "face-runs.bin";
 
-/// The cut through all trees, where faces have a say in what becomes of it.
+/// The cut through all trees, where faces have a say in the samples.
 pub(super) const CUT: &str = "cut.bin";
 
 /// P_S.
 pub(super) const SAMPLED: &str = "sampled.simod";
 
-/// P_S with what the steps appended, if any refine.
+/// P_S with the samples that the steps appended, if any refine.
 pub(super) const REFINED: &str = "refined.simod";
 
 /// P_S*.
 pub(super) const DEFORMED: &str = "deformed.ply";
 
-/// The output in the making, where it is known beforehand where each part goes.
+/// The output in the making, where the place of each part in it is known beforehand.
 pub(super) const SHARED: &str = "output.bin";
 
 /// The folder of the tiles in the making, likewise.
 pub(super) const SHARED_TILES: &str = "output.tiles";
 
-/// The id of the upload that all send their parts by, where the output is an object and it is known
-/// beforehand where each part goes.
+/// The id of the upload by which all units send their parts, where the output is an object and the place of
+/// each part in it is known beforehand.
 pub(super) const UPLOAD: &str = "upload.txt";
 
-/// No id of an upload is longer.
+/// Longest id of an upload.
 pub(super) const LONGEST_ID: u64 = 1 << 16;
 
-/// The deformation's gradients at the samples, where anything turns by them.
+/// The deformation's gradients at the samples, where any attribute turns by them.
 pub(super) const GRADIENTS: &str = "gradients.bin";
 
 /// A folder of units: the content of `plan.toml`.
@@ -55,37 +55,37 @@ pub struct Plan {
     pub(super) format: String,
     /// The program's version: others may give other bytes.
     pub(super) program: String,
-    /// The session's file, and the hash of what it says.
+    /// The session's file, and the hash of its content.
     pub(super) session: PathBuf,
     pub(super) session_hash: String,
-    /// Where the deformed model goes.
+    /// Path of the deformed model.
     pub(super) output: PathBuf,
-    /// The model, where it is; of one of several tiles, a pattern that they have in common.
+    /// The model's path; for a model of several tiles, a pattern that they have in common.
     pub(super) model: PathBuf,
     /// The model's tiles, if it has any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) tiles: Vec<PathBuf>,
     /// The model's size in bytes.
     pub(super) model_bytes: u64,
-    /// Number of its vertices.
+    /// Number of the model's vertices.
     pub(super) vertices: u64,
-    /// Why it is not divided, if it is not.
+    /// Reason for which the model is not divided, if it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) undivided: Option<String>,
-    /// What units write down for each other.
+    /// Files that units write for each other.
     pub(super) exchange: Exchange,
     pub(super) options: Recorded,
     #[serde(rename = "unit")]
     pub(super) units: Vec<Unit>,
 }
 
-/// The files in which ranges of the vertices write down what others need of the cells that they share.
+/// Files in which ranges of the vertices write down what other ranges need of the cells that they share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Exchange {
-    /// So many bytes at most, which it comes to where vertices come in no order.
+    /// Most bytes of these files, which is reached where vertices come in no order.
     pub at_most_bytes: u64,
-    /// Why one unit samples the model, if it does.
+    /// Reason for which one unit samples the model, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub undivided: Option<String>,
 }
@@ -104,7 +104,7 @@ pub(super) struct Recorded {
     /// Samples have more than the steps need.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) whole_samples: bool,
-    /// Whether splats turn.
+    /// Whether splats turn with the surface.
     pub(super) splats: bool,
     pub(super) opacity: Opacity,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -128,7 +128,7 @@ impl Planned for Plan {
 
     fn check(&self) -> Result<(), String> {
         check_units(&self.units)?;
-        // What comes before the vertices is of no unit that applies the deformation.
+        // The bytes before the vertices belong to no unit that applies the deformation.
         let (mut vertices, mut pieces) = (Some(0), None);
         let mut parts = [0; 4];
         for (number, unit) in self.units.iter().enumerate() {
@@ -174,7 +174,7 @@ impl Planned for Plan {
     }
 }
 
-/// The names of the methods, and of what becomes of normals, in plans.
+/// Names of the methods, and (the next list) of the treatments of normals, in plans.
 pub(super) const METHODS: [(&str, Method); 2] =
     [("blended-jets", Method::BlendedJets), ("projected-barycentric", Method::ProjectedBarycentric)];
 pub(super) const NORMALS: [(&str, Normals); 3] =
@@ -202,12 +202,12 @@ impl Plan {
         &self.units
     }
 
-    /// Where the deformed model goes.
+    /// Path of the deformed model.
     pub fn output(&self) -> &Path {
         &self.output
     }
 
-    /// The session that it does.
+    /// Path of the session that the plan is of.
     pub fn session(&self) -> &Path {
         &self.session
     }
@@ -226,12 +226,13 @@ impl Plan {
         self.vertices
     }
 
-    /// Why the model is not divided, if it is not.
+    /// Reason for which the model is not divided, if it is not.
     pub fn undivided(&self) -> Option<&str> {
         self.undivided.as_deref()
     }
 
-    /// What units write down for each other, and why one samples the model alone, if it does.
+    /// Size of the files that units write for each other, and the reason for which one unit samples the model
+    /// alone, if it does.
     pub fn exchange(&self) -> &Exchange {
         &self.exchange
     }
@@ -246,7 +247,7 @@ impl Plan {
         self.options.force
     }
 
-    /// Method and normals, or what is wrong with them.
+    /// Method and normals, or the error in their names.
     pub(super) fn recorded(&self) -> Result<(Method, Normals), String> {
         let Recorded { method, normals, .. } = &self.options;
         let known = named(&METHODS, method).zip(named(&NORMALS, normals));

@@ -26,26 +26,27 @@ use crate::session_file::{SessionFile, SessionTime};
 use crate::sidecar;
 use crate::stack::Stack;
 
-/// How a session is run by units: as [`Running`](crate::Running) says, as far as units can.
+/// Options of running a session by units: those of [`Running`](crate::Running) that units support.
 #[derive(Debug, Clone)]
 pub struct PlanOptions<'a> {
-    /// How vertices are carried over.
+    /// Method by which vertices are carried over.
     pub method: Method,
-    /// What becomes of the model's normals.
+    /// Treatment of the model's normals.
     pub normals: Normals,
     /// The offset of positions that are stored as integers may be another one.
     pub choose_offset: bool,
-    /// Another format may lose what it cannot hold.
+    /// Whether another format may lose content that it cannot hold.
     pub lossy: bool,
     /// Files of other kinds may be replaced by the output.
     pub force: bool,
-    /// What turns with the surface.
+    /// Rules for the attributes that turn with the surface.
     pub follow: &'a Follow,
     /// Libraries of plugins that were chosen.
     pub plugins: &'a [PathBuf],
-    /// Samples have all that those of a folder have, but for colours, and not only what the steps need.
+    /// Whether the samples get all that those of a folder have, but for colours, and not only what the steps
+    /// need.
     pub whole_samples: bool,
-    /// So many units share each stage that can be divided.
+    /// Number of units that share each stage that can be divided.
     pub units: u64,
     /// The engines that files are written for.
     pub emit: &'a [Emit],
@@ -68,7 +69,7 @@ pub fn make(
     progress: &dyn Progress,
 ) -> Result<Plan> {
     check_target(folder)?;
-    // What is wrong with the steps is told now.
+    // Mistakes in the steps are reported now.
     let stack = Stack::build(&session.steps, registry)?;
     let output = output_outside(folder, session, output)?;
     let new = OutputFolder::create(folder)?;
@@ -99,12 +100,12 @@ pub fn make(
     Ok(plan)
 }
 
-/// What of the samples is left out.
+/// Parts of the samples that are left out.
 pub(super) fn skipped(session: &SessionFile, stack: &Stack, whole: bool) -> Skip {
     if whole { Skip { colors: true, ..Skip::default() } } else { needed(session, stack, false) }
 }
 
-/// Why only one unit writes the model, if so.
+/// Reason for which only one unit writes the model, if so.
 fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Option<String> {
     if is_converted {
         return Some("it becomes another format, whose parts follow from each other".to_owned());
@@ -116,23 +117,24 @@ fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Opt
         .then(|| format!("it is {}, {of} cannot be written by themselves", model.info().format))
 }
 
-/// Whether each unit can read its own vertices: others would have to be unpacked, or gone over, by each.
+/// Whether each unit can read its own vertices; in other models each would have to unpack, or go over, the
+/// vertices of others.
 fn is_read_anywhere(model: &dyn Model, normals: Normals) -> bool {
     model.info().random_access && model.division(normals).is_some()
 }
 
-/// Most units that cluster ranges, each of which every group of cells comes after.
+/// Most units that cluster ranges, since every group of cells has to wait for each of them.
 const MOST_CLUSTERING: u64 = 1000;
 
-/// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is
-/// sampled by one.
+/// Number of units that cluster ranges of the model, which is also the number of groups of cells that these
+/// share; 0 if one unit samples the model.
 fn clustering(model: &dyn Model, sampling: &Sampling, options: &PlanOptions<'_>) -> Result<u64> {
     let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling)?.is_none();
     let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };
     Ok(if count > 1 { count } else { 0 })
 }
 
-/// What units write down for each other of cells that they share, and of what faces tell.
+/// Size of the files that units write for each other on the cells that they share, and on the faces.
 fn exchange(model: &dyn Model, sampling: &Sampling, options: &PlanOptions<'_>) -> Result<Exchange> {
     if clustering(model, sampling, options)? > 0 {
         let at_most_bytes =
@@ -143,7 +145,7 @@ fn exchange(model: &dyn Model, sampling: &Sampling, options: &PlanOptions<'_>) -
     Ok(Exchange { at_most_bytes: 0, undivided: why.map(str::to_owned) })
 }
 
-/// What of a model a unit is of.
+/// Part of a model that a unit does.
 enum UnitExtent {
     All,
     Vertices(Range<u64>),
@@ -164,7 +166,7 @@ fn output_outside(folder: &Path, session: &SessionFile, output: &Path) -> Result
     Ok(output)
 }
 
-/// The options as units read them.
+/// Options as units read them.
 fn recorded(options: &PlanOptions<'_>, follow: Follow, time: SessionTime) -> Result<Recorded> {
     Ok(Recorded {
         method: name_of(&METHODS, &options.method),
@@ -253,7 +255,7 @@ fn sampling_units(
     })
 }
 
-/// Adds the units of a stage, each of a part that has its number, after the same others.
+/// Adds the units of a stage, each for the part with its number, after the same other units.
 fn parts(
     add: &mut impl FnMut(Stage, Vec<usize>, UnitExtent, PathBuf) -> usize,
     (stage, name): (Stage, &str),

@@ -1,9 +1,9 @@
 //! A whole run of a session as units of work, for more machines than one: see `docs/scale.md`.
 //!
-//! A plan is a folder that all machines see. `plan.toml` says what is done by which unit, of what, and after
-//! which others; each unit reads files and writes files there, and the last one the session's output. Units
-//! may be done in any order that their dependencies allow, at the same time, and more than once: what is
-//! there already is not done again, and the bytes are those of one machine.
+//! A plan is a folder that all machines see. `plan.toml` lists the units, each with its work, its part and
+//! the units that it comes after; each unit reads files and writes files there, and the last one the
+//! session's output. Units may be done in any order that their dependencies allow, at the same time, and more
+//! than once: work that is done already is not done again, and the bytes are those of one machine.
 
 mod emit;
 mod folder;

@@ -44,15 +44,15 @@ const LONGEST: u64 = 1 << 38;
 pub struct UnitDone {
     /// The unit was done before, and nothing had to be.
     pub was_done: bool,
-    /// What the plugins had to say.
+    /// Messages of the plugins.
     pub messages: Vec<Message>,
-    /// How many vertices are in cells that ranges share, once that is known.
+    /// Number of vertices in cells that ranges share, once that is known.
     pub shared_vertices: Option<u64>,
-    /// What was written, by the last unit.
+    /// Report on the model that was written, by the last unit.
     pub written: Option<Reconstructed>,
 }
 
-/// Does a unit of the plan in a folder. What is there already is not done again.
+/// Does a unit of the plan in a folder. Work that is done already is not done again.
 ///
 /// # Errors
 /// There is no such unit, or one that has to be done before was not; the session or the model is not what it
@@ -65,7 +65,8 @@ pub fn do_unit(
 ) -> Result<UnitDone> {
     let unit = unit_of(plan.units(), (folder, number))?;
     let work = UnitRun { plan, unit, folder, progress };
-    // Parts are checked where they are found, and what they were made of may be gone once all is done.
+    // Parts are checked where they are found, and the files that they were made of may be gone once all is
+    // done.
     let checks_itself = matches!(
         unit.stage,
         Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Members | Stage::Faces | Stage::Apply
@@ -116,7 +117,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// The session, and how its model is sampled.
+    /// Session, and the options for sampling its model.
     fn sampling(&self, plugins: &PluginRegistry) -> Result<(SessionFile, Sampling)> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
@@ -124,7 +125,7 @@ impl UnitRun<'_> {
         Ok((session, sampling))
     }
 
-    /// Where runs of faces begin.
+    /// Finds the starts of runs of faces.
     fn face_runs(&self) -> Result<UnitDone> {
         let session = self.session()?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -160,7 +161,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// The cut, for units that complete it.
+    /// Makes the cut, for units that complete it.
     fn cut(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -171,7 +172,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// A part of what the faces tell.
+    /// Reads a part of the faces for what they tell of the samples.
     fn faces(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
@@ -187,7 +188,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    /// What units leave each other to know of the faces.
+    /// Files by which units tell each other about the faces.
     fn of_faces(&self) -> OfFaces {
         let ranges = 0..self.plan.files_of(self.folder, Stage::Cluster).len();
         let of = |name: &str| ranges.clone().map(|range| self.path(&format!("{name}-{range}.bin"))).collect();
@@ -211,7 +212,7 @@ impl UnitRun<'_> {
         UnitDivision { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
     }
 
-    /// The files of what each range has of cells that it shares with others.
+    /// Files of the data that each range has of cells that it shares with others.
     fn shared(&self) -> Vec<PathBuf> {
         let ranges = self.plan.files_of(self.folder, Stage::Cluster).len();
         (0..ranges).map(|range| self.path(&format!("shared-{range}.bin"))).collect()
@@ -314,9 +315,9 @@ impl UnitRun<'_> {
         Ok(())
     }
 
-    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from
-    /// the store, and what tells that it was sent from the plan, so that units begin again with the
-    /// deformation. Of other errors, and parts in files, nothing is taken away.
+    /// Gives up parts that do not fit the sampled model, which are of no use in any output: the parts that
+    /// were sent are removed from the store, and the files that tell of them from the plan, so that units
+    /// begin again with the deformation. After other errors, and for parts in files, nothing is removed.
     fn give_up(&self, e: Error, parts: &[PathBuf], upload: Option<&str>) -> Error {
         let Some(id) = upload.filter(|_| e.kind() == ErrorKind::Mismatch) else { return e };
         let output = &self.plan.output;
@@ -338,7 +339,7 @@ impl UnitRun<'_> {
         if path.exists() { input::read_text(&path, LONGEST_ID).map(Some) } else { Ok(None) }
     }
 
-    /// What parts share: the output itself, if it is an object.
+    /// Target that the parts share: `file`, or the output itself if it is an object.
     fn shared_by<'b>(&'b self, file: &'b Path, upload: Option<&'b str>) -> SharedTarget<'b> {
         upload.map_or(SharedTarget::File(file), |id| SharedTarget::Object(&self.plan.output, id))
     }
@@ -363,7 +364,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { written: Some(written), ..UnitDone::default() })
     }
 
-    /// The output while it is made, which apply units share.
+    /// Path of the output while it is made, which the units that apply the deformation share.
     fn output_in_the_making(&self) -> PathBuf {
         self.path(if self.plan.tiles.is_empty() { SHARED } else { SHARED_TILES })
     }
@@ -373,7 +374,7 @@ impl UnitRun<'_> {
         self.folder.join(&self.unit.writes)
     }
 
-    /// The session, which says what it said when the plan was made.
+    /// Session, whose content has to be the one of which the plan was made.
     fn session(&self) -> Result<SessionFile> {
         let path = &self.plan.session;
         if hash_of(path)? != self.plan.session_hash {
@@ -389,7 +390,7 @@ impl UnitRun<'_> {
         Ok(session)
     }
 
-    /// The model, as far as its size tells.
+    /// Opens the model, and checks that its size is that of the plan.
     fn open(&self, session: &SessionFile, cache: &Arc<Cache>) -> Result<Box<dyn Model>> {
         let mut model = open(session, cache, self.progress)?;
         if (model.info().bytes, model.info().vertices) != (self.plan.model_bytes, self.plan.vertices) {
@@ -406,7 +407,7 @@ impl UnitRun<'_> {
         )
     }
 
-    /// What the units before have left for the writing of the model.
+    /// Loads the files that the units before have left for the writing of the model.
     fn edit(&self) -> Result<WritingInputs> {
         let of = if self.path(REFINED).is_dir() { REFINED } else { SAMPLED };
         let sampled = SampledModel::load(&self.path(of))?;
@@ -447,8 +448,8 @@ impl UnitRun<'_> {
         Ok(Some(known.iter().map(Mat3::from_cols_array).collect()))
     }
 
-    /// Removes what is not needed any more, and what killed processes have left beside folders; a file that
-    /// cannot be removed hurts nobody.
+    /// Removes files that are not needed any more, and those that killed processes have left beside folders;
+    /// a file that cannot be removed hurts nobody.
     fn tidy(&self) {
         [SAMPLED, REFINED].iter().for_each(|name| Claim::tidy(&self.path(name)));
         let parts = self.plan.files_of(self.folder, Stage::Apply);
@@ -461,7 +462,7 @@ impl UnitRun<'_> {
             .for_each(|file| drop(std::fs::remove_file(file)));
     }
 
-    /// Says in the plan's folder that the output is in its place.
+    /// Notes in the plan's folder that the output is in its place.
     fn finished(&self, model: &dyn Model) -> Result<()> {
         let output = &self.plan.output;
         let bytes = if is_object(output) {
@@ -492,7 +493,7 @@ impl OfFaces {
     }
 }
 
-/// All that the writing of the model needs.
+/// Input of the writing of the model.
 struct WritingInputs {
     sampled: SampledModel,
     model: Box<dyn Model>,
@@ -513,7 +514,7 @@ impl WritingInputs {
     }
 }
 
-/// The bytes and their hash.
+/// Bytes with their hash behind them.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let hash = xxhash_rust::xxh3::xxh3_128(&bytes).to_le_bytes();
     bytes.extend_from_slice(&hash);

@@ -1,4 +1,4 @@
-//! Units of a plan, of whatever: what is done, and what each comes after.
+//! Units of a plan of any kind: their stages, and the units that each comes after.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -11,10 +11,10 @@ use simod_model::{Error, Result, input};
 /// The plan itself.
 pub const PLAN: &str = "plan.toml";
 
-/// What the last unit leaves.
+/// File that the last unit leaves.
 pub const FINISHED: &str = "finished.toml";
 
-/// No plan is longer: of a million units.
+/// Most bytes of a plan: of a million units.
 const LONGEST: u64 = 256 << 20;
 
 /// A piece of work.
@@ -27,28 +27,28 @@ pub struct Unit {
     pub stage: Stage,
     /// The units that have to be done before.
     pub after: Vec<usize>,
-    /// The vertices that it counts, if it counts.
+    /// Vertices that the unit counts, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
     /// The number of the range of the vertices or of the faces, or of the group of cells that ranges share,
     /// if the unit samples; of a comparison, that of its sampling or method.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
-    /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
+    /// Pieces of the file that the unit writes, or the tiles, if it applies the deformation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) pieces: Option<Range<u64>>,
-    /// The file in the plan's folder that is there once it is done.
+    /// File in the plan's folder that is there once the unit is done.
     pub writes: PathBuf,
 }
 
 impl Unit {
-    /// A unit of a stage that divides nothing but what it is of, by its place there.
+    /// Unit that does one part of its stage, and no range of vertices or pieces.
     pub fn undivided(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
         let part = Some(part as u64);
         Self { number, stage, after, vertices: None, part, pieces: None, writes }
     }
 
-    /// The place of what it is of.
+    /// Index of the unit's part in its stage.
     pub fn part(&self) -> usize {
         self.part.unwrap_or_default() as usize
     }
@@ -60,21 +60,21 @@ impl Unit {
 pub enum Stage {
     /// Vertices of a range are counted per cell.
     Count,
-    /// Where faces have a say, and are not all triangles: it is found where in the file each run of them
-    /// begins.
+    /// The starts of the runs of faces in the file are found, where faces have a say, and are not all
+    /// triangles.
     FaceRuns,
     /// The counts are added up, where clustering is divided.
     Merge,
-    /// The cells that lie wholly within a range are clustered, and what the range has of others is written
-    /// down.
+    /// The cells that lie wholly within a range are clustered, and the range's vertices of other cells are
+    /// written down.
     Cluster,
     /// A group of the cells that ranges share is clustered.
     ClusterShared,
     /// The samples are those of a cut through all clusters.
     Cut,
-    /// Where faces have a say: the sample of each vertex of a range is looked up.
+    /// The sample of each vertex of a range is looked up, where faces have a say.
     Members,
-    /// A range of the faces is read for what it tells of the samples.
+    /// A range of the faces is read for what it contributes to the samples.
     Faces,
     /// The samples are completed with what faces tell.
     Complete,
@@ -90,7 +90,7 @@ pub enum Stage {
     Write,
     /// A method of a comparison is done.
     Method,
-    /// What the methods came to is compared.
+    /// The results of the methods are compared.
     Page,
 }
 
@@ -118,17 +118,17 @@ impl Stage {
     }
 }
 
-/// The content of a `plan.toml`, of whatever.
+/// Content of a `plan.toml` of any kind of plan.
 pub trait Planned: DeserializeOwned {
-    /// What its first line says.
+    /// Format that the file's first line names.
     const FORMAT: &str;
     /// The command that makes the plan again.
     const COMMAND: &str;
 
-    /// The format that it says it is in, and the version of the program that made it.
+    /// Format that the file names, and the version of the program that made it.
     fn head(&self) -> [&str; 2];
 
-    /// What makes no sense, if anything.
+    /// Checks the plan; the error names what makes no sense.
     fn check(&self) -> Result<(), String>;
 }
 
@@ -192,7 +192,8 @@ pub fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
     }
 }
 
-/// What of any plan's units makes no sense: a unit's number, what it comes after, or where it writes.
+/// Checks the units of any plan: each one's number, the units that it comes after, and the path that it
+/// writes.
 pub fn check_units(units: &[Unit]) -> Result<(), String> {
     for (number, unit) in units.iter().enumerate() {
         let wrong = |what: &str| Err(format!("unit {number} {what}"));
@@ -209,7 +210,7 @@ pub fn check_units(units: &[Unit]) -> Result<(), String> {
     Ok(())
 }
 
-/// The hash of what a session says, as it stands in plans.
+/// Hash of a session's content, as it stands in plans.
 pub fn hash_of(session: &Path) -> Result<String> {
     let text = input::read(session, LONGEST)?;
     Ok(format!("xxh3-128:{:032x}", xxhash_rust::xxh3::xxh3_128(&text)))

@@ -1,5 +1,5 @@
-//! What libraries said about themselves when they were looked at last, so that they need not be loaded to be
-//! listed.
+//! Descriptions that libraries gave of themselves when they were looked at last, so that they need not be
+//! loaded to be listed.
 //!
 //! A file in the user's cache folder, by the libraries' paths and stamps. It may be missing, or broken, or
 //! not writable: then the libraries are asked again.
@@ -11,13 +11,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Changes whenever what is kept has another form or meaning.
+/// Number that changes whenever the content of the cache gets another form or meaning.
 const FORM: u32 = 2;
 
-/// No cache is longer.
+/// Most bytes of a cache.
 const LONGEST: u64 = 64 << 20;
 
-/// What tells one state of a file from another.
+/// Stamp of a file, by which one state of the file is told from another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LibraryStamp {
     len: u64,
@@ -27,7 +27,7 @@ pub(super) struct LibraryStamp {
 }
 
 impl LibraryStamp {
-    /// The stamp of a file, where it can be read.
+    /// Stamp of a file, if it can be read.
     pub fn from_path(path: &Path) -> Option<Self> {
         let meta = path.metadata().ok()?;
         let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
@@ -49,7 +49,7 @@ struct LibraryEntry {
 #[derive(Serialize, Deserialize)]
 struct CacheFile {
     form: u32,
-    /// The versions of this program and of its interface.
+    /// Versions of this program and of its interface.
     versions: [String; 2],
     libraries: BTreeMap<PathBuf, LibraryEntry>,
 }
@@ -74,13 +74,13 @@ impl LibraryCache {
         Self { content: content.unwrap_or_else(empty), changed: false, file }
     }
 
-    /// What a library said, if it is as it was then.
+    /// Returns the description that a library gave, if its file is as it was then.
     pub fn get(&self, path: &Path, stamp: LibraryStamp) -> Option<About> {
         let entry = self.content.libraries.get(path)?;
         (entry.stamp == stamp).then(|| entry.about.clone())
     }
 
-    /// Remembers what a library says.
+    /// Remembers the description of a library.
     pub fn put(&mut self, path: &Path, stamp: LibraryStamp, about: About) {
         self.content.libraries.insert(path.to_owned(), LibraryEntry { stamp, about });
         self.changed = true;
@@ -98,7 +98,7 @@ impl LibraryCache {
     }
 }
 
-/// Where the user's cache is.
+/// Standard path of the cache, in the user's cache folder.
 pub(super) fn standard_file() -> Option<PathBuf> {
     let cache = super::folders::users_folder("LOCALAPPDATA", "Library/Caches", "XDG_CACHE_HOME", ".cache");
     cache.map(|cache| cache.join("simod").join("plugins.json"))

@@ -1,6 +1,6 @@
-//! What can be told of a library without running any of its code: whether its file is all there, and which
-//! kind of plugin it is. Loading runs its initialisers, and the dynamic linker of Linux maps a file that was
-//! cut off without a complaint: the process then dies on touching it.
+//! Facts about a library that can be told without running any of its code: whether its file is all there, and
+//! which kind of plugin it is. Loading runs its initialisers, and the dynamic linker of Linux maps a file
+//! that was cut off without a complaint: the process then dies on touching it.
 
 use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{
@@ -10,7 +10,7 @@ use object::{
 use simod_model::{Error, Result, input};
 use std::path::Path;
 
-/// How a plugin is to be called.
+/// Interface by which a plugin is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EntryPoint {
     /// The library exports the root module of the interface's crate.
@@ -19,7 +19,8 @@ pub(super) enum EntryPoint {
     C,
 }
 
-/// What each kind of plugin exports: by the name that `export_plugin!` gives, and by that of the header.
+/// Symbol that each kind of plugin exports: by the name that `export_plugin!` gives, and by that of the
+/// header.
 const SYMBOLS: [(&str, EntryPoint); 2] =
     [("_1as_0lib_1header_0root_bmodule_bloader", EntryPoint::Rust), ("simod_plugin_entry", EntryPoint::C)];
 
@@ -35,7 +36,7 @@ const NATIVE: BinaryFormat = if cfg!(windows) {
 /// The kind of plugin that a library is; an error if it is none, not all there, or for another system.
 pub(super) fn kind(path: &Path) -> Result<EntryPoint> {
     let file = input::open(path)?;
-    // Keeps what is read: headers and symbols, not the code.
+    // The cache keeps the bytes that are read: headers and symbols, not the code.
     let cache = ReadCache::new(file);
     let (what, hint) = match FileKind::parse(&cache) {
         Err(_) => ("is no library", "build or copy it again, or remove it from the plugin folder"),
@@ -52,10 +53,11 @@ pub(super) fn kind(path: &Path) -> Result<EntryPoint> {
     Err(Error::plugin(format!("{} {what}", path.display()), hint))
 }
 
-/// Whether a plugin in Rust was built with `panic = "abort"`; nothing where that cannot be told.
+/// Whether a plugin in Rust was built with `panic = "abort"`; none where that cannot be told.
 ///
-/// What unwinds is a library that the plugin names its functions of: one that makes panics unwind calls the
-/// one that begins that. One that aborts has the others alone, by which it finds out where it was.
+/// Panics are unwound by a library of which the plugin imports functions: a plugin whose panics unwind
+/// imports the function that begins the unwinding. One that aborts imports only the others, by which it finds
+/// out where it was.
 pub fn aborts_on_panic(path: &Path) -> Option<bool> {
     let cache = ReadCache::new(std::fs::File::open(path).ok()?);
     let file = File::parse(cache.range(0, cache.len().ok()?)).ok()?;
@@ -67,7 +69,7 @@ pub fn aborts_on_panic(path: &Path) -> Option<bool> {
         .then(|| !has(b"_Unwind_RaiseException"))
 }
 
-/// The format of a library, and what kind of plugin it is, if any; nothing if something is missing.
+/// Format of a library, and the kind of plugin it is, if any; none if a part of the file is missing.
 fn contents(
     data: &ReadCache<impl ReadCacheOps>,
     format: FileKind,
@@ -79,7 +81,7 @@ fn contents(
         FileKind::MachOFat64 => range_of_ours(MachOFatFile64::parse(data).ok()?.arches()),
         _ => Some((0, all)),
     };
-    // Where there is none for this processor, the dynamic linker knows what to say.
+    // In a file without a library for this processor, the dynamic linker knows what to say.
     let Some((start, length)) = ours else { return Some((BinaryFormat::MachO, Some(EntryPoint::C))) };
     if start.checked_add(length)? > all {
         return None;
@@ -87,13 +89,13 @@ fn contents(
     contents_of_one(data.range(start, length))
 }
 
-/// Where the library for this processor is among several, in bytes: start and length.
+/// Range of the library for this processor among several, in bytes: start and length.
 fn range_of_ours(arches: &[impl FatArch]) -> Option<(u64, u64)> {
     let ours = if cfg!(target_arch = "aarch64") { Architecture::Aarch64 } else { Architecture::X86_64 };
     arches.iter().find(|arch| arch.architecture() == ours).map(FatArch::file_range)
 }
 
-/// As [`contents`], of a single library.
+/// Format and kind as of [`contents`], of a single library.
 fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<EntryPoint>)> {
     let (file, length) = (File::parse(data).ok()?, data.len().ok()?);
     let is_there = |(start, size): (u64, u64)| start.checked_add(size).is_some_and(|end| end <= length);

@@ -28,11 +28,13 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let care = if shipped { Care::Registers } else { Care::Process };
     let _kept = care.enter();
     let copy = fresh_copy(path)?;
-    // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
+    // The name of the copy does not matter once it is loaded; on systems where it does, the file goes when
+    // the system cleans up.
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
         EntryPoint::Rust => {
-            // What comes next would take it as far as it is there. It stays loaded.
+            // The loader that comes next would accept a library of which some imported functions are missing;
+            // here that is an error. The library stays loaded.
             std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
             Box::new(CarefulCode::new(LookingCode(RustCode::new(module)), care))
@@ -55,7 +57,7 @@ fn fresh_copy(path: &Path) -> Result<Option<tempfile::NamedTempFile>> {
     Ok(Some(copy))
 }
 
-/// The functions that a library exports; or what is wrong, and the interface's version that it was built
+/// Functions that a library exports; or an error, and the interface's version that the library was built
 /// with, where known.
 ///
 /// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.
@@ -65,7 +67,7 @@ fn root_module(path: &Path) -> std::result::Result<PluginModRef, (LibraryError, 
     header.init_root_module::<PluginModRef>().map_err(|e| (e, Some(version.to_owned())))
 }
 
-/// The code of a library of which is known what it is: loaded when it is first called.
+/// Code of a library whose description is known: the library is loaded when it is first called.
 pub(super) struct LazyCode {
     path: PathBuf,
     about: About,
@@ -148,8 +150,8 @@ impl Code for LazyCode {
     }
 }
 
-/// One line instead of the hundreds that abi_stable has. `theirs` is the interface's version that the plugin
-/// was built with, where known.
+/// Error of a library in one line, instead of the hundreds that abi_stable has. `theirs` is the interface's
+/// version that the plugin was built with, where known.
 fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
     let ours = interface();
     let file = path.display();

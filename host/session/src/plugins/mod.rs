@@ -34,7 +34,7 @@ pub const PATH_VARIABLE: &str = "SIMOD_PLUGIN_PATH";
 pub struct Rejected {
     /// The library's file, or a folder that could not be read.
     pub path: PathBuf,
-    /// Why.
+    /// The reason for the rejection.
     pub error: Error,
 }
 
@@ -46,11 +46,11 @@ pub struct Duplicate {
     pub id: String,
     /// The library that is used.
     pub used: PathBuf,
-    /// The one that is not.
+    /// The library that is not used.
     pub unused: PathBuf,
-    /// The version of the one that is not.
+    /// The version of the library that is not used.
     pub unused_version: String,
-    /// Whether the one that is not came with the program.
+    /// Whether the library that is not used came with the program.
     pub unused_is_shipped: bool,
 }
 
@@ -61,7 +61,7 @@ pub struct PluginFolder {
     pub path: PathBuf,
     /// Whether only files named like plugins count (`libsimod_*.so` and its like), rather than every library.
     pub by_name: bool,
-    /// Whether its plugins came with the program.
+    /// Whether the folder's plugins came with the program.
     pub shipped: bool,
 }
 
@@ -71,9 +71,9 @@ pub enum Isolation {
     /// Plugins that did not come with the program.
     #[default]
     Others,
-    /// All of them.
+    /// All plugins.
     Always,
-    /// None.
+    /// No plugin.
     Never,
 }
 
@@ -88,19 +88,19 @@ impl Isolation {
     }
 }
 
-/// How plugins are looked for and run.
+/// Options of looking for plugins and running them.
 #[derive(Debug, Clone)]
 pub struct PluginOptions {
-    /// Libraries to use whatever others of their ids there are.
+    /// Libraries to use, whatever others with their ids there are.
     pub chosen: Vec<PathBuf>,
     /// The folders to look in, most important first.
     pub folders: Vec<PluginFolder>,
     /// The plugins that run in processes of their own.
     pub isolation: Isolation,
-    /// How these processes are run.
+    /// Options of these processes.
     #[cfg(unix)]
     pub worker: Arc<WorkerOptions>,
-    /// Where to remember what libraries are, if at all.
+    /// File in which to remember what libraries are, if at all.
     pub cache: Option<PathBuf>,
 }
 
@@ -112,9 +112,8 @@ impl PluginOptions {
         Self { chosen: Vec::new(), folders, isolation, worker: Arc::new(worker), cache }
     }
 
-    /// Where plugins are looked for by another program that has this one's libraries within itself: its
-    /// plugins are those of `program`, beside which they lie, and which runs them where they have processes
-    /// of their own.
+    /// Options for another program that has this one's libraries within itself: its plugins are those of
+    /// `program`, beside which they lie, and which runs them where they have processes of their own.
     #[cfg(unix)]
     pub fn of_program(program: &Path) -> Self {
         let worker = WorkerOptions::for_program(program);
@@ -134,7 +133,7 @@ impl PluginOptions {
     }
 }
 
-/// A library that took its time to say what it is.
+/// Library that took long to describe itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Slow {
     /// The library's file.
@@ -143,10 +142,10 @@ pub struct Slow {
     pub time: Duration,
 }
 
-/// What longer takes is told.
+/// Time of loading above which a library is reported as slow.
 const SLOW: Duration = Duration::from_millis(500);
 
-/// How long a library may take to say what it is.
+/// Longest time that a library may take to describe itself.
 #[cfg(unix)]
 const INTRODUCTION: Duration = Duration::from_secs(10);
 
@@ -159,7 +158,7 @@ pub struct PluginRegistry {
     slow: Vec<Slow>,
     /// Folders that anybody may write to.
     open: Vec<PathBuf>,
-    /// Libraries that are used whatever others there are.
+    /// Libraries that are used, whatever others with their ids there are.
     chosen: Vec<PathBuf>,
     /// All libraries that were looked at, as they were then, used or not.
     seen: BTreeMap<PathBuf, (LibraryStamp, Option<Arc<Plugin>>)>,
@@ -185,7 +184,7 @@ fn folders_of(program: Option<&Path>) -> Vec<PluginFolder> {
     folders
 }
 
-/// Where a user installs plugins.
+/// Folder in which a user installs plugins.
 fn user_folder() -> Option<PathBuf> {
     let data =
         folders::users_folder("APPDATA", "Library/Application Support", "XDG_DATA_HOME", ".local/share");
@@ -200,17 +199,17 @@ impl PluginRegistry {
         registry
     }
 
-    /// A plugin takes the place of any other of its id.
+    /// Adds a plugin, which takes the place of any other of its id.
     pub fn put(&mut self, plugin: Arc<Plugin>) {
         self.plugins.retain(|known| known.id() != plugin.id());
         self.plugins.push(plugin);
         self.plugins.sort_by(|a, b| a.id().cmp(b.id()));
     }
 
-    /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at
+    /// Looks for plugins in the folders. Folders that do not exist are fine. Libraries that were looked at
     /// before and did not change since are not run, nor loaded before they are used.
     pub fn discover(options: &PluginOptions) -> Self {
-        // Nobody asks to stop.
+        // No user can ask this to stop.
         Self::discover_with(options, &Silent).unwrap_or_default()
     }
 
@@ -227,7 +226,7 @@ impl PluginRegistry {
     /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin,
     /// beside which the former one goes on to work for those that use it.
     pub fn refresh(&mut self, options: &PluginOptions) {
-        // Nobody asks to stop.
+        // No user can ask this to stop.
         let _ = self.refresh_with(options, &Silent);
     }
 
@@ -307,7 +306,7 @@ impl PluginRegistry {
         Ok(())
     }
 
-    /// Whether a library is used whatever others of its id there are.
+    /// Whether a library was chosen, and so is used whatever others of its id there are.
     fn is_chosen(&self, plugin: &Plugin) -> bool {
         plugin.path().canonicalize().is_ok_and(|path| self.chosen.contains(&path))
     }
@@ -321,7 +320,7 @@ impl PluginRegistry {
         let known = &mut self.plugins[at];
         let better = match compare_versions(plugin.version(), known.version()) {
             Ordering::Greater => true,
-            // Nobody takes the place of the program's own without something new.
+            // A plugin takes the place of the program's own only with a newer version.
             Ordering::Equal => plugin.is_shipped() && !known.is_shipped(),
             Ordering::Less => false,
         };
@@ -335,7 +334,7 @@ impl PluginRegistry {
         });
     }
 
-    /// What users of these steps should know of the plugins that do them: one that came from elsewhere takes
+    /// Notices for users of these steps on the plugins that do them: a plugin that came from elsewhere takes
     /// the place of the program's own, or a step was made with another version.
     pub fn notices(&self, steps: &[Step]) -> Vec<String> {
         let mut notices = Vec::new();
@@ -380,7 +379,7 @@ impl PluginRegistry {
         &self.open
     }
 
-    /// Why a library that was chosen is not used, if so.
+    /// Reason for which a library that was chosen is not used, if so.
     pub fn refused_choice(&self) -> Option<&Error> {
         let is_chosen = |r: &&Rejected| {
             let path = r.path.canonicalize().unwrap_or_else(|_| r.path.clone());
@@ -389,7 +388,7 @@ impl PluginRegistry {
         self.rejected.iter().find(is_chosen).map(|r| &r.error)
     }
 
-    /// Libraries that took their time to say what they are.
+    /// Libraries that took long to describe themselves.
     pub fn slow(&self) -> &[Slow] {
         &self.slow
     }
@@ -404,12 +403,12 @@ impl PluginRegistry {
         self.seen.keys().map(PathBuf::as_path)
     }
 
-    /// What could not be used, and why.
+    /// Libraries that could not be used, and the reasons.
     pub fn rejected(&self) -> &[Rejected] {
         &self.rejected
     }
 
-    /// What is not used since there is another of the same id.
+    /// Libraries that are not used since there is another of the same id.
     pub fn duplicates(&self) -> &[Duplicate] {
         &self.duplicates
     }
@@ -441,7 +440,7 @@ pub fn load_unchecked(path: &Path) -> Result<Plugin> {
     Plugin::unchecked(code, about, path)
 }
 
-/// The plugin of a library, of which may be known what it is.
+/// Plugin of a library, whose description may be known.
 fn open(
     file: &Path,
     shipped: bool,
@@ -455,7 +454,7 @@ fn open(
         let about = match known {
             Some(about) => about,
             None => {
-                // No process is started for what is no plugin.
+                // No process is started for a file that is no plugin.
                 library_file::kind(file)?;
                 let silence = INTRODUCTION.min(options.worker.silence);
                 let options = Arc::new(WorkerOptions { silence, ..(*options.worker).clone() });
@@ -518,8 +517,8 @@ fn is_named(file: &Path, id: &str) -> bool {
     stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
-/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and what
-/// is no such version is older than all that are.
+/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and a
+/// text that is no such version is older than all that are.
 fn compare_versions(a: &str, b: &str) -> Ordering {
     match (semantic(a), semantic(b)) {
         (Some(a), Some(b)) => a.cmp_precedence(&b),

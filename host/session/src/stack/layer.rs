@@ -25,12 +25,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 #[derive(Debug)]
 pub(crate) struct Layer {
-    /// Where in the session it stands; for errors.
+    /// Place of the step in the session, for errors.
     pub place: String,
     pub plugin: Arc<Plugin>,
-    /// What was changed when the step was brought up to the plugin.
+    /// Changes that were made when the step was brought up to the plugin.
     notes: Notes,
-    /// What the session gives, and what became of it.
+    /// Parameters as the session gives them, and (`params`) as they were checked.
     given: toml::Table,
     params: Arc<Params>,
     /// Fixed and handle regions.
@@ -38,7 +38,7 @@ pub(crate) struct Layer {
     /// The handle regions' motions, model coordinates.
     transforms: Vec<DAffine3>,
     share: Share,
-    /// Each after the one that it hangs on.
+    /// Joints, each after the one that it hangs on.
     joints: Vec<Joint>,
     /// Motions of handles that the plugin places.
     handles: Vec<HandleMove>,
@@ -51,27 +51,27 @@ pub(crate) struct Layer {
 pub(crate) struct LayerResult {
     /// Deformed positions, local coordinates.
     pub positions: Arc<[Vec3]>,
-    /// What the plugin had to say.
+    /// Messages of the plugin.
     pub messages: Vec<Message>,
     plugin: Arc<Plugin>,
-    /// Nothing where the plugin said that it would not move anything.
+    /// State that the plugin prepared; none where the plugin said that it would not move anything.
     preparation: Option<Arc<Preparation>>,
     rest: Arc<LayerRest>,
     motions: Motions,
     share: Share,
 }
 
-/// How much of what the plugin does becomes of each point.
+/// Share of the plugin's displacement that each point takes.
 #[derive(Debug, Clone)]
 struct Share {
     /// The amount of the step that is done, from 0 to 1.
     amount: f64,
-    /// Where the layer acts; everywhere if there is none.
+    /// Regions in which the layer acts; it acts everywhere if there are none.
     masks: Vec<Shapes>,
 }
 
 impl Share {
-    /// Whether it is all, everywhere.
+    /// Whether the share is the whole displacement, everywhere.
     fn is_whole(&self) -> bool {
         self.amount == 1.0 && self.masks.is_empty()
     }
@@ -90,27 +90,27 @@ impl Share {
 struct Preparation {
     state: api::State,
     rest: Arc<LayerRest>,
-    /// Where the plugin asks for them.
+    /// Attributes of the samples, where the plugin asks for them.
     attributes: Option<Arc<SampleAttributes>>,
-    /// Between deformations, which may go on where the last one stopped.
+    /// Scratch of the plugin between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
-    /// What the plugin finds and has to leave as it is; and how often it was called since all of that was
-    /// looked at.
+    /// Fingerprint of the samples that the plugin finds and has to leave as they are; and (`unchecked`) the
+    /// number of calls since all of them were compared.
     fingerprint: Option<Fingerprint>,
     unchecked: AtomicUsize,
     messages: Vec<Message>,
 }
 
-/// As few as these are looked at in less than a tenth of a millisecond.
+/// Most samples of which all are compared each time: that takes less than a tenth of a millisecond.
 const FEW_SAMPLES: usize = 20_000;
 
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. After a draft a part of
-    /// it is looked at, each in its turn, as all of it takes as long as a quick deformation; and all with the
-    /// result.
+    /// Checks that the plugin has not changed the samples that it was called with: later layers work on them,
+    /// too. After a draft a part of them is compared, each in its turn, as comparing all takes as long as a
+    /// quick deformation; and all with the result.
     ///
     /// # Errors
-    /// The plugin has changed it.
+    /// The plugin has changed the samples.
     fn check_unchanged(&self, plugin: &Plugin, effort: api::Effort) -> Result<()> {
         let calls = self.unchecked.load(Ordering::Relaxed);
         let is_long = self.rest.positions.len() > FEW_SAMPLES;
@@ -135,8 +135,8 @@ pub(crate) struct LayerCache {
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<LayerResult>)>,
-    /// While something is dragged, the result before that: the next one is written there, where nobody looks
-    /// at it any more. Memory that is new takes the system as long as a quick deformation.
+    /// Result before the last one while something is dragged: the next one is written there, as it is not
+    /// read any more. New memory takes the system as long as a quick deformation.
     spare: Option<Arc<[Vec3]>>,
 }
 
@@ -147,13 +147,13 @@ impl LayerCache {
     }
 }
 
-/// All that moves, without a new preparation, as plugins take it.
+/// Everything that moves without a new preparation, as plugins take it.
 #[derive(Debug)]
 struct Motions {
     params: LocalParams,
-    /// One for each handle region.
+    /// Transforms, one for each handle region.
     transforms: Vec<api::Affine>,
-    /// One for each handle that the plugin placed.
+    /// Motions, one for each handle that the plugin placed.
     handles: Vec<api::Affine>,
     strokes: Vec<Arc<LocalStroke>>,
     /// The effort, where the plugin asks for it.
@@ -174,8 +174,8 @@ struct LocalStroke {
 }
 
 impl Layer {
-    /// Checks a step, which stands at this place of the session. `before` is what it was before it was
-    /// edited: what it shares with that is not checked again.
+    /// Checks a step at this place of the session. `before` is the layer of the step before it was edited:
+    /// the parts that both share are not checked again.
     pub fn build(
         step: &Deformation,
         place: &str,
@@ -194,7 +194,7 @@ impl Layer {
         layer.map_err(|e| in_its_words(e, step, plugin))
     }
 
-    /// The layer of a step that is as the plugin has it now.
+    /// Layer of a step that is up to the plugin of now.
     fn for_step(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
@@ -239,7 +239,7 @@ impl Layer {
         Ok(layer)
     }
 
-    /// What the session gives, and defaults.
+    /// Parameters of the session, and defaults.
     pub fn params(&self) -> &Params {
         &self.params
     }
@@ -264,7 +264,7 @@ impl Layer {
         Ok(())
     }
 
-    /// What the plugin does not use is not given to it.
+    /// Checks that the session gives only what the plugin uses.
     fn check_used(&self) -> Result<()> {
         let consumes = self.plugin.consumes();
         let given = [
@@ -300,7 +300,7 @@ impl Layer {
         let is_identity = self.share.amount == 0.0
             || motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))?;
         if is_identity {
-            // What comes after it need not be done again.
+            // Steps after this one need not be done again.
             let positions = rest.positions.clone();
             return Ok((rest.clone(), self.done(None, rest, positions, watch.into_messages(), motions)));
         }
@@ -328,7 +328,7 @@ impl Layer {
         Ok((Arc::new(LayerRest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
     }
 
-    /// Has the plugin deform what it has prepared.
+    /// Calls the plugin to deform what it has prepared.
     fn deformed(
         &self,
         preparation: Arc<Preparation>,
@@ -349,7 +349,7 @@ impl Layer {
         Ok(self.done(Some(preparation), &rest, deformed?, messages, motions))
     }
 
-    /// What was done, with the notes on the step before what its plugin had to say.
+    /// Result of the layer, with the notes on the step before the messages of its plugin.
     fn done(
         &self,
         preparation: Option<Arc<Preparation>>,
@@ -370,7 +370,7 @@ impl Layer {
         Message::warning(self.plugin.id(), format!("{place}{note}"))
     }
 
-    /// What the plugin prepared for this rest shape, or prepares now.
+    /// State that the plugin prepared for this rest shape, or prepares now.
     fn preparation(
         &self,
         key: u64,
@@ -391,8 +391,8 @@ impl Layer {
         Ok(preparation)
     }
 
-    /// The other models that the user gave, by the parameters that name them: as read before, as long as
-    /// their files are what they were.
+    /// Other models that the user gave, by the parameters that name them: as read before, as long as their
+    /// files are unchanged.
     fn other_models(
         &self,
         shape: &RestShape<'_>,
@@ -422,7 +422,7 @@ impl Layer {
         Ok(others.into_iter().map(|(_, id, model)| (id, model)).collect())
     }
 
-    /// The rest shape with normals that fit, if the plugin needs them.
+    /// Rest shape with normals that fit, if the plugin needs them.
     fn with_normals(&self, rest: &Arc<LayerRest>, shape: &RestShape<'_>) -> Result<Arc<LayerRest>> {
         if !self.plugin.consumes().normals {
             return Ok(rest.clone());
@@ -439,7 +439,7 @@ impl Layer {
         Ok(Arc::new(LayerRest { normals, normals_fit: true, ..(**rest).clone() }))
     }
 
-    /// What a preparation depends on.
+    /// Key of all that a preparation depends on.
     fn preparation_key(&self, rest_key: u64) -> u64 {
         let prepares =
             |id: &str| self.plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
@@ -448,19 +448,19 @@ impl Layer {
         self.key(rest_key).and(&params).and(&regions).end()
     }
 
-    /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of
-    /// files.
+    /// Key of the rest shape and of all else that each call of the plugin may depend on: the plugin itself,
+    /// the joints, and the content of files.
     fn key(&self, rest_key: u64) -> Key {
         let file = |value: &ParamValue| match value {
             ParamValue::File(Some(path)) => Some(stamps(path)),
             _ => None,
         };
         let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
-        // As long as something is kept of it, no other plugin has its place in memory.
+        // A plugin whose key is in use is alive, so that no other plugin has its address.
         Key::from_key(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
     }
 
-    /// Calls with what plugins get where nothing moves yet.
+    /// Calls with the input of a preparation, in which nothing moves yet.
     fn prepare_input<T>(
         &self,
         rest: &LayerRest,
@@ -504,7 +504,7 @@ impl Layer {
         call(&api::PrepareInput::new(rest.samples(), rest.bounds, regions, &values).with_parts(&parts))
     }
 
-    /// All that moves; the plugin is asked where its handles are.
+    /// Everything that moves; the plugin is asked for the places of its handles.
     fn motions(
         &self,
         rest: &LayerRest,
@@ -580,7 +580,7 @@ impl Layer {
         let shared = || Error::internal("what was just made has another owner");
         let out = Arc::get_mut(&mut images).ok_or_else(shared)?;
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        // Out of its place, where it does not come back after a failure.
+        // The scratch is taken out of its place, to which it does not come back after a failure.
         let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
         preparation.unchecked.fetch_add(1, Ordering::Relaxed);
         let done = motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
@@ -598,7 +598,7 @@ impl Layer {
         Ok(images)
     }
 
-    /// The motions of the handles that the plugin placed, those of what they hang on included; local
+    /// Motions of the handles that the plugin placed, including those of the handles that they hang on; local
     /// coordinates.
     fn handle_motions(&self, placed: &[api::HandleDesc], frame: &Frame) -> Result<Vec<api::Affine>> {
         let known = |id: &str| placed.iter().any(|h| h.id == id);
@@ -630,7 +630,8 @@ impl Layer {
     }
 }
 
-/// Positions of which none is written yet, as many as these: in their place, if nobody else has it.
+/// Positions of NaN, `count` of them, since none is written yet: in the memory of `spare`, if nobody else has
+/// it.
 fn unwritten(spare: Option<Arc<[Vec3]>>, count: usize) -> Arc<[Vec3]> {
     let mut spare = spare.filter(|spare| spare.len() == count);
     match spare.as_mut().and_then(Arc::get_mut) {
@@ -640,7 +641,7 @@ fn unwritten(spare: Option<Arc<[Vec3]>>, count: usize) -> Arc<[Vec3]> {
     spare.unwrap_or_default()
 }
 
-/// An error of another model, with whose it is, the parameter that names it, and its file.
+/// Error of another model, with the plugin, the parameter that names the model, and its file.
 fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;
@@ -651,7 +652,7 @@ fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     e.saying(format!("{plugin}: parameter `{param}`: {file}{text}"))
 }
 
-/// Some ids of a list that may be long.
+/// Text of the first ids of a list that may be long, for messages.
 fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
     const MOST: usize = 12;
     let mut text = ids.clone().take(MOST).collect::<Vec<_>>().join(", ");
@@ -707,14 +708,14 @@ impl LocalStroke {
 }
 
 impl Motions {
-    /// A key with all of it.
+    /// Key of all motions.
     fn key(&self, former: u64) -> Key {
         let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
         let Self { params, transforms, handles, effort, time, .. } = self;
         Key::from_key(former).and(params).and(transforms).and(handles).and(&strokes).and(effort).and(time)
     }
 
-    /// Calls with what a deformation gets.
+    /// Calls with the input of a deformation.
     fn call<T>(
         &self,
         samples: api::Samples<'_>,
@@ -749,7 +750,7 @@ impl Motions {
 }
 
 impl LayerResult {
-    /// Whether its map is known at any point of space.
+    /// Whether the layer's map is known at any point of space.
     pub fn can_evaluate(&self) -> bool {
         self.preparation.is_none() || self.plugin.capabilities().evaluate
     }

@@ -1,7 +1,7 @@
 //! The stack of deformations: each layer's output is the next one's rest shape.
 //!
 //! Regions are evaluated on the layer's own rest shape. A mask and the step's amount act on the host's side,
-//! whatever the plugin: `p* = p + a m(p) (D(p) - p)`.
+//! for every plugin: `p* = p + a m(p) (D(p) - p)`.
 
 mod layer;
 mod rest;
@@ -37,8 +37,8 @@ pub struct PreparedStack {
 }
 
 impl Stack {
-    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what
-    /// they ask for. Refinements are passed over: they are of a model, not of samples alone.
+    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against the
+    /// plugins' descriptions. Refinements are passed over: they need a model, and not samples alone.
     ///
     /// # Errors
     /// A plugin is not there, or a step does not fit it.
@@ -52,12 +52,12 @@ impl Stack {
         Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
 
-    /// How many layers there are.
+    /// Number of layers.
     pub fn len(&self) -> usize {
         self.layers.len()
     }
 
-    /// Whether nothing is deformed at all.
+    /// Whether no layer deforms the samples.
     pub fn is_empty(&self) -> bool {
         self.layers.is_empty()
     }
@@ -77,7 +77,7 @@ impl Stack {
         }
     }
 
-    /// Each layer's plugin with all parameters in effect.
+    /// Plugin of each layer with all parameters in effect.
     pub fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
         self.layers.iter().map(|l| (&*l.plugin, l.params()))
     }
@@ -137,7 +137,7 @@ mod tests {
     use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// A model with these samples, and no others.
+    /// Model with these samples, and no others.
     fn sampled(
         positions: &[Vec3],
         triangles: &[[u32; 3]],
@@ -155,7 +155,7 @@ mod tests {
         Arc::new(sampled)
     }
 
-    /// Where a session's steps take its samples, local coordinates.
+    /// Positions to which a session's steps take its samples, local coordinates.
     fn deformed(session: &str, registry: &PluginRegistry, of: Arc<SampledModel>) -> Result<Vec<Vec3>> {
         let session = SessionFile::parse(session, Path::new("s.toml"))?;
         let frame = of.frame;

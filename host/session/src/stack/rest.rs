@@ -1,4 +1,4 @@
-//! The samples as a layer finds them, and how they cross the border.
+//! Samples as a layer finds them, and as they are passed to a plugin.
 
 use glam::{DAffine3, Vec3};
 use rayon::prelude::*;
@@ -14,14 +14,14 @@ use std::sync::Arc;
 /// Derives unit normals, one per sample, from changed positions (local coordinates).
 pub(crate) type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
 
-/// For what a deformation is, and when in a sequence.
+/// Effort of a deformation, and its time in a sequence.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Moment {
     pub effort: api::Effort,
     pub time: api::Time,
 }
 
-/// The samples as they were taken, and where.
+/// Samples as they were taken, at rest.
 #[derive(Clone, Copy)]
 pub(crate) struct RestShape<'a> {
     /// Local positions; all finite.
@@ -36,15 +36,15 @@ pub(crate) struct RestShape<'a> {
     pub neighbours: Option<&'a NeighbourGraph>,
     /// Colours and other attributes of the samples, where they were asked for.
     pub attributes: Option<&'a Arc<SampleAttributes>>,
-    /// Where temporary files without a name are made, for other models that plugins take; the system's own
-    /// place if it is empty.
+    /// Folder in which temporary files without a name are made, for other models that plugins take; the
+    /// system's own folder if it is empty.
     pub folder: &'a Path,
     /// The map between model and local coordinates.
     pub frame: Frame,
     /// The model's box, model coordinates.
     pub bounds: Bounds,
-    /// Normals for changed positions, for layers that need them after others. Without it they get the old
-    /// ones.
+    /// Function for normals of changed positions, for layers that need them after others. Without it such
+    /// layers get the old normals.
     pub renormal: Option<&'a Renormal<'a>>,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct LayerRest {
     pub normals_fit: bool,
     pub spacing: Arc<[f32]>,
     pub bounds: api::Bounds,
-    /// Stands for all of it: a hash of what it came from.
+    /// Key that stands for the rest shape: a hash of all that it came from.
     pub key: u64,
 }
 
@@ -78,12 +78,12 @@ pub(crate) fn not_one_per_sample(what: &str) -> Error {
 }
 
 impl RestShape<'_> {
-    /// What the first layer starts from; `key` stands for it.
+    /// Rest shape of the first layer; `key` stands for it.
     pub(crate) fn rest(&self, key: u64) -> Result<LayerRest> {
         self.rest_at(self.positions.into(), key)
     }
 
-    /// What a layer starts from at other positions, as layers before have left them.
+    /// Rest shape of a layer at other positions, as layers before have left them.
     pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<LayerRest> {
         self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
@@ -97,7 +97,7 @@ impl RestShape<'_> {
         })
     }
 
-    /// What a layer starts from at positions that `former` was made of, once more.
+    /// Rest shape of a layer at new positions, with all else as in `former`.
     pub(crate) fn rest_again(
         &self,
         former: &LayerRest,
@@ -133,12 +133,12 @@ impl RestShape<'_> {
     }
 }
 
-/// Where the neighbours of each sample begin, and all of them.
+/// Index of each sample's first neighbour, and the neighbours of all samples.
 pub fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }
 
-/// An error of a layer, with its place; a cancel has none.
+/// Error of a layer, with its place; that of a cancellation gets none.
 pub(crate) fn located(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;

@@ -20,7 +20,7 @@ pub(super) struct ArenaRange {
     pub len: u64,
 }
 
-/// The file, and who may map it.
+/// File of the shared memory, as both processes have it.
 pub(super) struct SharedArena(File);
 
 impl SharedArena {
@@ -33,7 +33,7 @@ impl SharedArena {
         tempfile::tempfile().map(Self)
     }
 
-    /// The one that another process made.
+    /// Arena that another process made.
     pub fn from_file(file: File) -> Self {
         Self(file)
     }
@@ -70,15 +70,15 @@ impl SharedArena {
     }
 }
 
-/// All pages at once: a fault for each would take longer than all the rest.
+/// Options of a map that has all its pages at once: a fault for each would take longer than all the rest.
 fn options(range: ArenaRange) -> MmapOptions {
     let mut options = MmapOptions::new();
     options.offset(range.offset).len(range.len as usize).populate();
     options
 }
 
-/// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are
-/// alive.
+/// Arena that hands out ranges of a shared file. Bounded by the memory that is in use at a time: the arrays
+/// of the states that are alive.
 pub(super) struct Arena {
     shared: SharedArena,
     end: u64,
@@ -132,18 +132,18 @@ impl Arena {
     }
 }
 
-/// Where the control block is.
+/// Range of the control block.
 pub(super) const CONTROL: ArenaRange = ArenaRange { offset: 0, len: ALIGNMENT };
 
-/// What both processes look at during a call.
+/// State that both processes look at during a call.
 #[repr(C)]
 #[derive(Default)]
 pub(super) struct Control {
-    /// Whether the worker shall stop.
+    /// Whether the worker shall stop; not 0 if so.
     pub cancel: AtomicU32,
-    /// Grows with every sign of life.
+    /// Count of the signs of life.
     beats: AtomicU32,
-    /// How much of the call is done, as the bits of a double.
+    /// Fraction of the call that is done, as the bits of a double.
     progress: AtomicU64,
 }
 
@@ -159,7 +159,7 @@ impl Control {
         (self.beats.load(Ordering::Relaxed), f64::from_bits(self.progress.load(Ordering::Relaxed)))
     }
 
-    /// Before a call.
+    /// Clears the state before a call.
     pub fn reset(&self) {
         self.cancel.store(0, Ordering::Relaxed);
         self.progress.store(0, Ordering::Relaxed);

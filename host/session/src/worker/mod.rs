@@ -1,4 +1,4 @@
-//! Plugins in processes of their own: what they do to themselves, they do not do to the program.
+//! Plugins in processes of their own, which keep the program from harm that plugins do to themselves.
 //!
 //! The program starts itself once more for each such plugin that is called ([`serve`] is what it then does).
 //! Requests go over a socket, arrays through shared memory: those of the samples are copied once for each
@@ -31,24 +31,25 @@ pub use serve::serve;
 /// Time between two looks at the user's wish to stop.
 const INTERVAL: Duration = Duration::from_millis(5);
 
-/// How long a plugin may go on when it was asked to stop.
+/// Longest time that a plugin may go on when it was asked to stop.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// How plugins' processes are run.
+/// Options of running plugins' processes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerOptions {
-    /// The program, and the arguments that make it call [`serve`] with the three that follow them.
+    /// Program and arguments of the worker's process; the arguments make it call [`serve`] with the three
+    /// that follow them.
     pub command: Vec<PathBuf>,
-    /// How long a call may go on without any sign of life, as progress is one.
+    /// Longest time that a call may go on without any sign of life, as progress is one.
     pub silence: Duration,
-    /// How much memory a plugin may take, in bytes (on Linux).
+    /// Most memory that a plugin may take, in bytes (on Linux).
     pub memory: u64,
 }
 
-/// How long a plugin in a process of its own may give no sign of life, unless that is said.
+/// Longest time that a plugin in a process of its own may give no sign of life, unless another is given.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How much memory it may take, in bytes, unless that is said.
+/// Most memory that a plugin in a process of its own may take, in bytes, unless another limit is given.
 pub const MEMORY: u64 = 4 << 30;
 
 impl WorkerOptions {
@@ -73,11 +74,12 @@ struct Worker {
     control: ControlMap,
     child: Mutex<Ended>,
     errors: Tail,
-    /// What is to be dropped there before the next call, with the memory that it leaves.
+    /// Requests to drop things in the process, which are sent before the next call, with the memory that each
+    /// leaves.
     drops: Mutex<Vec<(Request, Option<ArenaRange>)>>,
 }
 
-/// The way to a process; whoever holds it has its attention.
+/// Connection to a process; the thread that holds it talks to the process alone.
 struct ProcessLink {
     socket: UnixStream,
     replies: Receiver<Reply>,
@@ -114,7 +116,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Starts a process for a library, asks what it is, and ends it again.
+/// Starts a process for a library, asks for the library's description, and ends the process again.
 pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>, progress: &dyn Progress) -> Result<About> {
     Worker::start(library, options, &StopRequest(progress)).map(|(_, about)| about)
 }
@@ -153,7 +155,7 @@ impl WorkerCode {
         Ok(worker.insert(Arc::new(started)).clone())
     }
 
-    /// Has a request answered by the plugin's process. `call` names it in errors.
+    /// Sends a request to the plugin's process, and returns the answer. `call` names it in errors.
     fn call(
         &self,
         worker: &Worker,
@@ -168,7 +170,7 @@ impl WorkerCode {
         })
     }
 
-    /// Has an input sent there and a request made of it answered.
+    /// Sends an input to the process, and a request on it; returns the answer.
     fn call_with_input(
         &self,
         call: &str,
@@ -186,7 +188,7 @@ impl WorkerCode {
         Ok((worker, range, reply))
     }
 
-    /// The state, if it is one of the process that is there now.
+    /// State, if it belongs to the process that is there now.
     fn own<'a, T>(&self, worker: &Arc<Worker>, of: &Arc<Worker>, content: &'a T) -> PluginResult<&'a T> {
         if Arc::ptr_eq(worker, of) {
             return Ok(content);
@@ -200,7 +202,7 @@ fn foreign() -> PluginError {
     PluginError::internal("the state or scratch is another plugin's")
 }
 
-/// An answer to another question: the process is not what it should be.
+/// Error of an answer to another request: the process is out of order.
 fn confused() -> PluginError {
     PluginError::internal("the plugin's process answered another question")
 }
@@ -266,7 +268,8 @@ impl Code for WorkerCode {
         let motion = MotionRecord::new(input);
         let mut link = lock(&worker.link);
         let range = link.arena.allocate(size_of_val(out)).map_err(no_memory)?;
-        // What is not written shows by what the caller has filled all of it with.
+        // Positions that the plugin does not write show by the value with which the caller has filled all of
+        // them.
         let fill = out.first().copied().unwrap_or_default();
         let array = bytemuck::cast_slice_mut(out);
         let slice = Slice { range, len: array.len() as u64 };
@@ -327,7 +330,7 @@ impl Code for WorkerCode {
 }
 
 impl WorkerCode {
-    /// Has a request answered that writes an array to a range of the shared memory, and takes it from there.
+    /// Sends a request that writes an array to a range of the shared memory, and takes the array from there.
     #[expect(clippy::too_many_arguments, reason = "the call's own, and the two places")]
     fn take_back(
         &self,
@@ -404,7 +407,7 @@ impl CallEnd {
 }
 
 impl Worker {
-    /// Starts a process for a library, and hears what the library is.
+    /// Starts a process for a library, and receives the library's description.
     fn start(library: &Path, options: &Arc<WorkerOptions>, calls: &dyn HostCalls) -> Result<(Self, About)> {
         let refused = |e: std::io::Error| {
             let what = format!("cannot start a process for the plugin {}: {e}", library.display());
@@ -416,7 +419,7 @@ impl Worker {
         let mut child = serving(library, options, theirs, &arena).and_then(Ended::start).map_err(refused)?;
         let errors = Tail::read(child.stderr());
         let replies = replies(&socket).map_err(refused)?;
-        // Where it has ended already, that is told below.
+        // A process that has ended already is reported below.
         let _ = protocol::send(&mut socket, &Request::Load);
         let this = Self {
             link: Mutex::new(ProcessLink { socket, replies, arena, is_dead: false }),
@@ -425,7 +428,7 @@ impl Worker {
             errors,
             drops: Mutex::new(Vec::new()),
         };
-        // There is nothing to wait for where it is not to be loaded any more.
+        // A worker whose loading is not wanted any more is not waited for.
         let loaded = this.wait(&lock(&this.link), calls, options.silence, Duration::ZERO);
         match loaded {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
@@ -461,8 +464,8 @@ impl Worker {
         self.wait(link, calls, silence, GRACE)
     }
 
-    /// Waits for an answer, and passes on what comes before it. Where the user asks to stop, the plugin has
-    /// so much time to do so as `grace` says.
+    /// Waits for an answer, and passes on the messages before it. Where the user asks to stop, the plugin has
+    /// the time `grace` to do so.
     fn wait(
         &self,
         link: &ProcessLink,
@@ -497,7 +500,7 @@ impl Worker {
         }
     }
 
-    /// How the process ended that does not answer any more.
+    /// End of a process that does not answer any more.
     fn death(&self) -> CallEnd {
         let status = lock(&self.child).end();
         let errors = self.errors.text();
@@ -524,15 +527,15 @@ fn serving(
     command.args(arguments).arg(library);
     command.args([options.memory.to_string(), std::process::id().to_string()]);
     command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
-    // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process
-    // moves them.
+    // Both ends of the connection are handed over as standard streams, which needs nothing unsafe. The
+    // process moves them.
     command.stdin(Stdio::from(OwnedFd::from(theirs)));
     command.stdout(Stdio::from(arena.shared().file()?));
     command.stderr(Stdio::piped());
     Ok(command)
 }
 
-/// What a process says, read by a thread of its own until it ends.
+/// Replies of a process, read by a thread of their own until the process ends.
 fn replies(socket: &UnixStream) -> std::io::Result<Receiver<Reply>> {
     let (sender, replies) = sync_channel(64);
     let mut reader = socket.try_clone()?;

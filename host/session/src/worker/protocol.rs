@@ -1,5 +1,5 @@
-//! What the program and a plugin's process say to each other: requests and replies over a socket, arrays in
-//! shared memory.
+//! Messages between the program and a plugin's process: requests and replies over a socket, arrays in shared
+//! memory.
 
 use super::arena::ArenaRange;
 use crate::deformer::{About, OwnHandles};
@@ -17,11 +17,11 @@ use std::io::{Error, Read, Result, Write};
 /// A frame that is longer is a mistake, not a message.
 const LONGEST: u32 = 1 << 28;
 
-/// What the program asks for.
+/// Request of the program.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Request {
     /// Loads the library: the first request. Nothing of the library runs before, so that this process is
-    /// ready for whatever that does: it ends with the program by then.
+    /// ready for any behaviour of the library: by then it is set up to end with the program.
     Load,
     Prepare(InputRecord),
     NewScratch,
@@ -39,7 +39,7 @@ pub(super) enum Request {
         points: Slice,
     },
     Handles(InputRecord),
-    /// The version that settings are of, and these.
+    /// Version of settings, and the settings to be brought up to date.
     Migrate(u32, Vec<SettingRecord>),
     IsIdentity {
         bounds: [[f64; 3]; 2],
@@ -49,8 +49,8 @@ pub(super) enum Request {
     DropScratch(u64),
 }
 
-/// What the plugin's process answers: one for each request but the drops, after any number of log lines; and
-/// one [`Loaded`](Self::Loaded) before all others.
+/// Reply of the plugin's process: one for each request but the drops, after any number of log lines; and one
+/// [`Loaded`](Self::Loaded) before all others.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Reply {
     Loaded(std::result::Result<Box<About>, LibraryRefusal>),
@@ -58,7 +58,7 @@ pub(super) enum Reply {
         level: u32,
         text: String,
     },
-    /// A number for what was made.
+    /// Number of the state or scratch that was made.
     Made(std::result::Result<u64, PluginFailure>),
     Done(std::result::Result<(), PluginFailure>),
     Handles(std::result::Result<HandlesRecord, PluginFailure>),
@@ -88,7 +88,7 @@ impl From<SettingRecord> for Setting {
     }
 }
 
-/// Why a library is not used.
+/// Reason for which a library is not used.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LibraryRefusal {
     pub what: String,
@@ -325,8 +325,8 @@ impl InputRecord {
         Some(call(&PrepareInput::new(samples, bounds(self.bounds), &regions, &params).with_parts(&parts)))
     }
 
-    /// What a deformation gets of it: the samples, of whose arrays nothing is copied, and their attributes,
-    /// where they are asked for.
+    /// Input of a deformation: the samples, of whose arrays nothing is copied, and their attributes, where
+    /// they are asked for.
     pub fn samples<'a>(&'a self, bytes: &'a [u8]) -> Option<(Samples<'a>, Option<Vec<Attribute<'a>>>)> {
         let mut arrays = Arrays(bytes);
         Some((self.take_samples(&mut arrays)?, self.take_attributes(&mut arrays)?))
@@ -403,7 +403,7 @@ impl ParamRecord {
     }
 }
 
-/// What a [`DeformInput`] has beside the samples and the box, which are the state's.
+/// Content of a [`DeformInput`] beside the samples and the box, which are the state's.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct MotionRecord {
     transforms: Vec<[[f64; 4]; 3]>,
@@ -515,8 +515,8 @@ mod tests {
     use simod_plugin_api::Descriptor;
     use simod_tests::damage::{damage, damaged, runner};
 
-    /// What a plugin's process says may be anything: an error or a message, no panic, and no memory for what
-    /// is not there.
+    /// Replies of a plugin's process may be any bytes: they give an error or a message, no panic, and take no
+    /// memory for what is not there.
     #[test]
     fn damaged_messages_do_no_harm() {
         let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());

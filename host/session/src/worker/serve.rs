@@ -40,7 +40,8 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     let shared =
         SharedArena::from_file(File::from(std::io::stdout().as_fd().try_clone_to_owned().map_err(refused)?));
     let control = ControlMap::new(&shared).map_err(refused)?;
-    // What a plugin prints is not to end up in between.
+    // Standard output is the shared memory's file, and standard input the socket: a plugin must not print to
+    // the one, or read from the other.
     rustix::stdio::dup2_stdout(std::io::stderr()).map_err(|e| refused(e.into()))?;
     let nothing = File::open("/dev/null").map_err(refused)?;
     rustix::stdio::dup2_stdin(nothing).map_err(|e| refused(e.into()))?;
@@ -66,7 +67,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     Ok(())
 }
 
-/// What the program asks, read by a thread of its own, which ends the process when nobody asks any more.
+/// Requests of the program, read by a thread of their own, which ends the process when nobody asks any more.
 fn requests(socket: &UnixStream) -> std::io::Result<Receiver<Request>> {
     let mut reader = socket.try_clone()?;
     let (sender, requests) = channel();
@@ -82,7 +83,7 @@ fn requests(socket: &UnixStream) -> std::io::Result<Receiver<Request>> {
     Ok(requests)
 }
 
-/// Loads the library, and says what it is, or why it is refused.
+/// Loads the library, and sends its description, or the reason for which it is refused.
 fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
     let loaded = load_code(library, false).and_then(|code| {
         let about = Plugin::ask(code.as_ref(), library)?;
@@ -101,7 +102,7 @@ fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
     }
 }
 
-/// Ends this process at once, whatever the plugin's threads and destructors are about.
+/// Ends this process at once, in whatever state the plugin's threads and destructors are.
 fn end() -> ! {
     let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
     std::process::abort()
@@ -231,7 +232,7 @@ impl Calls {
     fn send(&self, reply: &Reply) {
         let mut socket = self.socket.lock().unwrap_or_else(PoisonError::into_inner);
         if protocol::send(&mut *socket, reply).is_err() {
-            // There is nobody to hear it.
+            // The program has gone.
             end();
         }
     }

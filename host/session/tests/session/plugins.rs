@@ -30,7 +30,7 @@ fn an_unknown_plugin_is_guessed_at() {
     assert_eq!(error.hint(), "there are misbehaving, rbf, warp");
 }
 
-/// Each of them alone gets a reason, on one line; none keeps the good one from working.
+/// Each bad library alone gets a reason, on one line; none keeps the good one from working.
 #[test]
 fn bad_libraries_do_not_hide_good_ones() {
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +101,7 @@ fn a_changed_library_is_loaded_anew() {
     let (old, other) = (registry.get("warp").unwrap().clone(), registry.get("misbehaving").unwrap().clone());
     registry.refresh(&common::options(folder.path()));
     assert!(std::sync::Arc::ptr_eq(registry.get("warp").unwrap(), &old), "nothing changed");
-    // As a compiler does it: another file of the same name.
+    // The library is replaced as by a compiler: by another file of the same name.
     std::fs::remove_file(&file).unwrap();
     copy("simod_rbf", folder.path(), "tool");
     registry.refresh(&common::options(folder.path()));

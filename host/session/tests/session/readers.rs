@@ -80,7 +80,7 @@ fn use_session(path: &Path) {
         Ok(session) => {
             let _ = Stack::build(&session.steps, &PluginRegistry::default());
             let _ = session.output_beside(path);
-            // What was read can be written, and says the same.
+            // The session that was read can be written, and says the same.
             let again = path.with_file_name("again.toml");
             if session.save(&again).is_ok() {
                 let reread = SessionFile::load(&again).unwrap();
@@ -145,7 +145,8 @@ fn damaged_strokes_and_selections_do_no_harm() {
     assert_eq!((step.strokes.len(), step.strokes[0].points.len()), (2, 1200));
 }
 
-/// What is remembered of plugins may say anything: the libraries are asked again, or what it says is refused.
+/// The file of what is remembered of plugins may have any content: the libraries are asked again, or the
+/// content is refused.
 #[test]
 fn a_damaged_memory_of_plugins_does_no_harm() {
     let folder = tempfile::tempdir().unwrap();

@@ -13,7 +13,7 @@ use simod_session::edit::Evaluation;
 use std::sync::Arc;
 
 impl ComparisonRequest {
-    /// Does what is missing. `revision` counts up with every scene.
+    /// Makes the parts of the comparison that are missing. `revision` counts up with every scene.
     pub(super) fn done(
         self,
         open: &Evaluation,
@@ -47,8 +47,8 @@ impl ComparisonRequest {
     }
 }
 
-/// Where a version has the samples of `onto`: those that both have are there already, the others go where the
-/// reconstruction carries them.
+/// Positions that a version gives to the samples of `onto`: the samples of both samplings have them
+/// already, the others are carried by the reconstruction.
 fn carry(scene: &ViewerScene, onto: &SampledModel) -> Arc<[Vec3]> {
     let (rest, both) = (&onto.samples.positions, common(&scene.sampled, onto));
     if *scene.positions == *scene.sampled.samples.positions {

@@ -1,5 +1,5 @@
-//! The samples of a model that is being opened, as they come: for the eye alone. Before the first of them
-//! there are vertices from places spread over the file, each of which gives way to the samples around it.
+//! Samples of a model that is being opened, as they come: for the eye alone. Before the first of them there
+//! are vertices from places spread over the file, each of which gives way to the samples around it.
 
 use glam::{DMat3, DVec3, Vec3};
 use simod_core::geometry::symmetric_eigen;
@@ -9,14 +9,15 @@ use simod_model::frame::Frame;
 use simod_model::progress::{Emerging, Glimpse};
 use std::time::{Duration, Instant};
 
-/// Most samples that are kept, of 28 bytes each; of more, each second one is.
+/// Most samples that are kept, of 28 bytes each; beyond that, every second one is dropped.
 const MOST: usize = 1 << 20;
 
-/// Most vertices before the first sample, of 28 bytes each, and how long they may take to be read.
+/// Most vertices before the first sample, of 28 bytes each, and the longest time that reading them may
+/// take.
 const VERTICES: u64 = 1 << 14;
 const PATIENCE: Duration = Duration::from_millis(250);
 
-/// Models of fewer vertices are sampled as quickly.
+/// Number of vertices below which a model is sampled so quickly that no vertices are shown before.
 const LARGE: u64 = 1 << 20;
 
 /// Points of the surface; all lists have one entry for each. Local coordinates.
@@ -26,29 +27,28 @@ pub struct SurfacePoints {
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
     pub normals: Vec<Vec3>,
-    /// About how far each is from those next to it.
+    /// Approximate distance of each point from those next to it.
     pub spacing: Vec<f32>,
 }
 
-/// A model that is being sampled, as far as it can be seen: samples of complete cells, and vertices
-/// elsewhere.
+/// Visible part of a model that is being sampled: samples of complete cells, and vertices elsewhere.
 #[derive(Debug, Default)]
 pub struct Emerged {
-    /// Smallest and largest coordinates of the whole model, or of what is seen of it; local.
+    /// Smallest and largest coordinates of the whole model, or of its visible part; local.
     pub bounds: [DVec3; 2],
-    /// Goes up with each change.
+    /// Number of changes so far.
     pub changes: u64,
     /// Samples of the cells that are complete.
     samples: SurfacePoints,
     /// Vertices where there are no samples yet, and their coordinates.
     vertices: SurfacePoints,
     frame: Option<Frame>,
-    /// One of so many samples is kept.
+    /// Stride of the kept samples: one of so many is kept.
     every: usize,
 }
 
 impl SurfacePoints {
-    /// Places in local coordinates of a frame, in those of another one.
+    /// Converts positions from the local coordinates of a frame to those of another one.
     fn go_over(&mut self, from: &Frame, to: &Frame) {
         self.positions.iter_mut().for_each(|p| *p = to.to_local(from.to_model(*p)));
         let scale = (from.scale / to.scale) as f32;
@@ -70,7 +70,7 @@ fn retain<T>(list: &mut Vec<T>, kept: &[bool]) {
 
 impl Emerged {
     /// Vertices from places spread over the file, as many as can be read in little time; nothing of a model
-    /// that is sampled as quickly, or where it is `cancelled`.
+    /// that is sampled as quickly, or where `cancelled` says so.
     pub(super) fn glimpse(model: &mut Glimpse<'_>, cancelled: impl Fn() -> bool) -> Option<Self> {
         if model.vertices < LARGE {
             return None;
@@ -81,7 +81,7 @@ impl Emerged {
             if Instant::now() > until || cancelled() {
                 break;
             }
-            // Wherever it ends, they are spread evenly.
+            // Wherever the reading ends, the vertices read so far are spread evenly.
             let number = (u128::from(model.vertices) * u128::from(i.reverse_bits())) >> 64;
             if let Ok(Some((position, normal))) = model.vertex(number as u64)
                 && position.is_finite()
@@ -100,7 +100,7 @@ impl Emerged {
         Some(Self { bounds, changes: 1, vertices, frame: Some(frame), every: 1, ..Self::default() })
     }
 
-    /// The samples that are there.
+    /// Samples that are kept.
     pub fn samples(&self) -> &SurfacePoints {
         &self.samples
     }
@@ -152,12 +152,12 @@ impl Emerged {
 struct PlaneFit {
     middle: Vec3,
     normal: Vec3,
-    /// How far they are apart, if they are spread evenly over the plane.
+    /// Spacing of the points, if they are spread evenly over the plane.
     spacing: f32,
 }
 
 impl PlaneFit {
-    /// By their principal components; nothing where there is no point.
+    /// Fits the plane by the points' principal components; nothing where there is no point.
     fn fit(points: &[Vec3]) -> Option<Self> {
         let n = points.len() as f64;
         let middle = points.iter().map(|p| p.as_dvec3()).sum::<DVec3>() / n;
@@ -177,7 +177,7 @@ impl PlaneFit {
     }
 }
 
-/// Keeps each second one.
+/// Keeps every second entry of a list.
 fn halve<T>(list: &mut Vec<T>) {
     let mut i = 0;
     list.retain(|_| {
@@ -219,7 +219,7 @@ mod tests {
         let count = seen.positions.len();
         assert!(count > 1000 && seen.normals.len() == count && seen.spacing.len() == count);
         assert!(seen.normals.iter().all(|n| n.z.abs() > 0.999));
-        // Each quarter has about as many, however long there was time.
+        // Each quarter of the plate has about as many vertices, however long there was time.
         let quarter = |p: &&Vec3| p.x < 0.0 && p.y < 0.0;
         let part = seen.positions.iter().filter(quarter).count() as f64 / count as f64;
         assert!((part - 0.25).abs() < 0.02, "{part}");

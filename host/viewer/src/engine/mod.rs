@@ -1,12 +1,12 @@
-//! The thread that owns the samples and does the steps, so that the window never waits.
+//! The engine: a thread that owns the samples and does the steps, so that the window never waits.
 //!
-//! Of requests to do steps, the latest wins: one that waits is replaced. One that runs goes on, so that a
-//! drag is followed as quickly as the plugins are, unless its result is of no more use: see `wasted`. A
-//! preparation that the newer request needs as well is never cancelled by it, or slow ones would never come
-//! to an end while a handle is dragged.
+//! Of requests to do steps, the latest wins: a waiting request is replaced. A running one goes on, so that
+//! a drag is followed as quickly as the plugins are, unless its result is of no more use: see `wasted`. A
+//! preparation that the newer request needs as well is never cancelled by it, or slow preparations would
+//! never come to an end while a handle is dragged.
 //!
-//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are
-//! vertices streamed that are to be seen in full.
+//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; vertices that
+//! are to be seen in full are streamed on another one.
 
 mod comparing;
 mod emerged;
@@ -37,10 +37,10 @@ use std::time::{Duration, Instant};
 use thread::{EngineThread, Teller};
 pub use watch::{Activity, Wake};
 
-/// How long work may go on when the window is closed.
+/// Time that work may go on after the window is closed.
 const PARTING: Duration = Duration::from_secs(5);
 
-/// The window's end of it.
+/// The window's end of the engine.
 pub struct Engine {
     shared: Arc<SharedState>,
     events: Receiver<Event>,
@@ -73,8 +73,8 @@ impl Engine {
         self.shared.changed.notify_all();
     }
 
-    /// Opens something else. What is running for the former model is cancelled, but for a model that is being
-    /// written.
+    /// Opens a model or session. Jobs that run for the former model are cancelled, but not the writing of a
+    /// model.
     pub fn open(&mut self, opening: Opening) {
         self.want(|wanted, running| {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
@@ -85,8 +85,8 @@ impl Engine {
         self.compare(None);
     }
 
-    /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which
-    /// comes back with them. `model` is where it is, if it was moved.
+    /// Has vertices streamed, instead of those that are being streamed; returns the request's number, which
+    /// comes back with the vertices. `model` is the model's path, if it was moved.
     pub fn preview(
         &mut self,
         pose: SamplePose,
@@ -111,7 +111,7 @@ impl Engine {
         });
     }
 
-    /// Nothing is to be seen in full any more: memory is let go.
+    /// Lets go of the memory for the preview, as nothing is to be seen in full any more.
     pub fn forget_preview(&mut self) {
         self.pause_preview();
         self.want(|wanted, _| wanted.forget = true);
@@ -125,9 +125,9 @@ impl Engine {
         });
     }
 
-    /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
-    /// expected](crate::ViewerScene::expected_error). Gives the request's number, which comes back
-    /// with the result.
+    /// Has steps done, instead of those that wait; if wanted, with the [error to be
+    /// expected](crate::ViewerScene::expected_error). Returns the request's number, which comes back with
+    /// the result.
     pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, extra: Extra) -> u64 {
         self.requests += 1;
         let number = self.requests;
@@ -153,8 +153,8 @@ impl Engine {
         self.want(|wanted, _| wanted.plugins = Some(plugins));
     }
 
-    /// Stops a job, and what waits to become one. A plugin in a process of its own is stopped even if it
-    /// hangs.
+    /// Stops a job, and a request that waits to become one. A plugin in a process of its own is stopped
+    /// even if it hangs.
     pub fn cancel(&mut self, job: Job) {
         self.want(|wanted, running| {
             wanted.give_up(job);
@@ -162,12 +162,12 @@ impl Engine {
         });
     }
 
-    /// What a job is doing, if it is running.
+    /// Progress of a job, if it is running.
     pub fn activity(&self, job: Job) -> Option<Activity> {
         self.shared.lock().1.watch(job).map(|watch| watch.activity())
     }
 
-    /// Looks at those samples of the model that is being opened that are there by now, if there are any.
+    /// Calls `look` with the samples of the model that is being opened, as far as they are there.
     pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
         let watch = self.shared.lock().1.watch(Job::Open)?.clone();
         watch.emerged(look)
@@ -179,12 +179,12 @@ impl Engine {
         running.watch(Job::Evaluate).map(|_| running.step.load(Relaxed))
     }
 
-    /// Whether something is going to be done that was asked for.
+    /// Whether a job waits to be begun.
     pub fn wants(&self, job: Job) -> bool {
         self.shared.lock().0.has(job)
     }
 
-    /// Whether another model may be there before long, or what became of one was not taken yet.
+    /// Whether another model may be there before long, or the outcome of an opening was not taken yet.
     pub fn is_opening(&self) -> bool {
         let (wanted, running) = &mut *self.shared.lock();
         wanted.has(Job::Open) || running.watch(Job::Open).is_some() || running.opened > 0
@@ -208,7 +208,7 @@ impl Engine {
     /// Waits for the next event, for programs without a window.
     ///
     /// # Errors
-    /// Nothing happened for so long.
+    /// There was no event for so long.
     pub fn wait(&mut self, longest: Duration) -> Result<Option<Event>> {
         let end = Instant::now() + longest;
         loop {
@@ -238,7 +238,7 @@ impl Drop for Engine {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);
-        // All work stops soon, but for that of a plugin in this process that hangs: it ends with the program.
+        // All work stops soon, but that of a plugin in this process that hangs: it ends with the program.
         let end = Instant::now() + PARTING;
         for thread in self.threads.drain(..) {
             while !thread.is_finished() && Instant::now() < end {

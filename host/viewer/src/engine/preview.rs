@@ -1,4 +1,4 @@
-//! A thread that streams vertices of the model to be seen, so that the edit goes on meanwhile.
+//! Thread that streams vertices of the model to be seen, so that the edit goes on meanwhile.
 
 use super::requests::{Event, Job, SamplePose, Streaming};
 use super::shared::SharedState;
@@ -16,7 +16,7 @@ use std::time::Instant;
 /// The task that comes next.
 enum PreviewTask {
     Stream(Streaming, Arc<JobWatch>),
-    /// What is known of the samples is not needed any more.
+    /// Lets go of the rest geometry and colours of the samples, which are not needed any more.
     Forget,
 }
 
@@ -37,7 +37,7 @@ impl PreviewThread {
         }
     }
 
-    /// Waits for something to do; nothing once the window is closed.
+    /// Waits for a task; nothing once the window is closed.
     fn next(&self) -> Option<PreviewTask> {
         let mut inner = self.shared.lock();
         loop {
@@ -57,8 +57,8 @@ impl PreviewThread {
         }
     }
 
-    /// Streams for all poses of the same samples: what is known of them at rest is found once. Gives what is
-    /// next.
+    /// Streams for all poses of the same samples, whose rest geometry is computed once. Returns the next
+    /// task.
     fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<JobWatch>) -> Option<PreviewTask> {
         let sampled = streaming.pose.sampled.clone();
         let (around, colors) = (OnceCell::new(), OnceCell::new());
@@ -107,7 +107,7 @@ impl PreviewThread {
             progress.check()
         };
         progress.begin("preparing", 0);
-        // As the samples are when the model is written.
+        // Positions are rounded as when the model is written.
         let deformed = sampled.rounded(&positions);
         let report = if *positions == *sampled.samples.positions {
             detail::stream(&sampled, model.as_ref(), &chosen, None, progress, each)?

@@ -15,7 +15,7 @@ use simod_session::session_file::SamplingTable;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The jobs that there are: at most one of each runs at a time.
+/// Kinds of jobs: at most one of each kind runs at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Job {
@@ -36,31 +36,31 @@ impl Job {
     pub const ALL: [Self; 5] = [Self::Open, Self::Evaluate, Self::Write, Self::Preview, Self::Compare];
 }
 
-/// What is to be opened.
+/// Model or session that is to be opened.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Opening {
     /// A model, the folder of a sampled one, or a session.
     pub path: PathBuf,
-    /// How finely a model is sampled.
+    /// Fineness with which a model is sampled.
     pub sampling: SamplingTable,
-    /// Takes what was kept of it against a crash, if there is something.
+    /// Whether the edit that was kept against a crash is taken, if there is one.
     pub recover: bool,
-    /// Where the model is, if it was moved.
+    /// Path of the model, if it was moved.
     pub model: Option<PathBuf>,
 }
 
-/// How the deformed model is written.
+/// Output of the deformed model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WriteRequest {
     /// The file.
     pub output: PathBuf,
-    /// The model, if it was moved since it was sampled.
+    /// Path of the model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
-    /// What turns with the surface besides normals.
+    /// Attributes that turn with the surface besides normals.
     pub follow: Follow,
-    /// How vertices are carried over.
+    /// Method of the reconstruction.
     pub method: Method,
-    /// What becomes of the model's normals.
+    /// Treatment of the model's normals.
     pub normals: Normals,
 }
 
@@ -72,7 +72,7 @@ pub(super) struct StepsRequest {
     pub extra: Extra,
 }
 
-/// A part of a scene that takes its time, and is wanted besides.
+/// Part of a scene that takes its time to compute, and is wanted in addition.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Extra {
     /// Nothing.
@@ -80,8 +80,8 @@ pub enum Extra {
     Nothing,
     /// The error to be expected between the samples.
     ExpectedError,
-    /// The [attributes](simod_core::sampled_model::SampledModel::attributes) of the samples, by the model, if
-    /// it was moved since it was sampled.
+    /// The [attributes](simod_core::sampled_model::SampledModel::attributes) of the samples, with the
+    /// model's path if it was moved since it was sampled.
     Attributes(Option<PathBuf>),
 }
 
@@ -90,13 +90,13 @@ pub(super) struct Streaming {
     pub number: u64,
     pub pose: SamplePose,
     pub chosen: DetailRequest,
-    /// What the vertices are coloured by.
+    /// Colour values that come with the vertices.
     pub tint: Tint,
-    /// The model, if it was moved since it was sampled.
+    /// Path of the model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
 }
 
-/// Samples somewhere: what vertices are carried over by.
+/// Samples at rest and at other positions, by which vertices are carried over.
 #[derive(Clone)]
 pub struct SamplePose {
     /// The samples at rest.
@@ -106,13 +106,13 @@ pub struct SamplePose {
 }
 
 impl SamplePose {
-    /// Whether it is the very same; others may be equal nevertheless.
+    /// Whether the pose is the very same one in memory; other poses may be equal nevertheless.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.sampled, &other.sampled) && Arc::ptr_eq(&self.positions, &other.positions)
     }
 }
 
-/// What is wanted of another version.
+/// Request for another version.
 #[derive(Clone)]
 pub struct ComparisonRequest {
     /// The version's number, which comes back with the result.
@@ -121,24 +121,24 @@ pub struct ComparisonRequest {
     pub steps: Arc<[Entry]>,
     /// The version's samples, if they are known already.
     pub scene: Option<Arc<ViewerScene>>,
-    /// Whether a step that cannot be done makes it worthless.
+    /// Whether a step that cannot be done makes the version worthless.
     pub whole: bool,
     /// Whether the error to be expected is wanted, too.
     pub measure: bool,
-    /// Other samples of the model, of which it is wanted where this version has them.
+    /// Other samples of the model, whose positions in this version are wanted.
     pub onto: Option<Arc<SampledModel>>,
 }
 
-/// The model with another version's samples, and where a version carries them.
+/// Model with another version's samples, and the positions to which a version carries them.
 #[derive(Clone)]
 pub struct CarriedSamples {
     /// The model with these samples.
     pub sampled: Arc<SampledModel>,
-    /// Where they are, one for each: local positions.
+    /// Positions of the samples, one for each, in local coordinates.
     pub positions: Arc<[Vec3]>,
 }
 
-/// What became of a request.
+/// Outcome of a request.
 pub enum Event {
     /// A model is there, with its samples at rest.
     Opened(Box<(Editor, ViewerScene)>),
@@ -155,7 +155,7 @@ pub enum Event {
         number: u64,
         /// The version's samples.
         scene: Arc<ViewerScene>,
-        /// Where it has the others that were asked for.
+        /// Positions of the other version's samples, if they were asked for.
         carried: Option<CarriedSamples>,
     },
     /// The deformed model was written.
@@ -164,7 +164,7 @@ pub enum Event {
         output: PathBuf,
         /// The report on the model.
         report: Box<Reconstructed>,
-        /// The time that it took.
+        /// Seconds that the writing took.
         seconds: f64,
     },
     /// Some vertices of the model are there to be seen.
@@ -174,29 +174,29 @@ pub enum Event {
         /// The vertices.
         batch: Box<DetailBatch>,
     },
-    /// All vertices are that were asked for.
+    /// All vertices that were asked for are there.
     Streamed {
         /// The number of the request.
         request: u64,
-        /// How many, and what was read.
+        /// Number of vertices, and of bytes that were read.
         report: Streamed,
-        /// The time that it took.
+        /// Seconds that the stream took.
         seconds: f64,
     },
     /// Something that the user should know.
     Note(String),
-    /// A job came to nothing; what was there before still holds. Of kind
-    /// [`Cancelled`](simod_model::ErrorKind::Cancelled) if the user stopped it.
+    /// A job failed; the state before still holds. Of kind [`Cancelled`](simod_model::ErrorKind::Cancelled)
+    /// if the user stopped the job.
     Failed {
         /// The job that failed.
         job: Job,
-        /// Why.
+        /// Reason of the failure.
         error: Error,
     },
 }
 
 impl Event {
-    /// Whether it says what became of a model that was to be opened.
+    /// Whether the event is the outcome of a model that was to be opened.
     pub(super) fn ends_opening(&self) -> bool {
         matches!(self, Self::Opened(_) | Self::Failed { job: Job::Open, .. })
     }

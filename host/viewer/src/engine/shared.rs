@@ -8,7 +8,7 @@ use simod_session::edit::Entry;
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-/// What the threads shall do next.
+/// Requests that wait for the threads.
 #[derive(Default)]
 pub(super) struct WantedJobs {
     pub open: Option<Opening>,
@@ -16,7 +16,7 @@ pub(super) struct WantedJobs {
     pub write: Option<(Arc<[Entry]>, WriteRequest)>,
     pub preview: Option<Streaming>,
     pub compare: Option<ComparisonRequest>,
-    /// Nothing is to be seen in full any more.
+    /// Whether nothing is to be seen in full any more.
     pub forget: bool,
     pub plugins: Option<Arc<PluginRegistry>>,
     pub end: bool,
@@ -34,7 +34,7 @@ impl WantedJobs {
         self.requests()[job as usize].is_there()
     }
 
-    /// The job that waits is wanted no more.
+    /// Drops the request for a job.
     pub fn give_up(&mut self, job: Job) {
         self.requests()[job as usize].drop();
     }
@@ -42,10 +42,10 @@ impl WantedJobs {
 
 /// A request for a job, whatever it is for, while it waits.
 trait PendingRequest {
-    /// Whether there is one.
+    /// Whether there is a request.
     fn is_there(&self) -> bool;
 
-    /// The request is wanted no more.
+    /// Drops the request.
     fn drop(&mut self);
 }
 
@@ -64,11 +64,12 @@ impl<T> PendingRequest for Option<T> {
 pub(super) struct RunningJobs {
     /// The progress of each job that runs, by its number.
     watches: [Option<Arc<JobWatch>>; Job::ALL.len()],
-    /// The steps that are being done, or were last, and how well.
+    /// The steps that are being done, or were last, and their effort.
     pub evaluated: Option<(Arc<[Entry]>, Effort)>,
     /// The place of the step that is being done.
     pub step: Arc<AtomicUsize>,
-    /// Events that were sent, and not taken yet; and those among them that say what became of a model.
+    /// Number of events that were sent, and not taken yet; and of those among them that are the outcome of
+    /// an opening.
     pub events: usize,
     pub opened: usize,
 }
@@ -79,17 +80,17 @@ impl RunningJobs {
         self.watches[job as usize].as_ref()
     }
 
-    /// A job runs from now on.
+    /// Notes that a job runs from now on.
     pub fn begin(&mut self, job: Job, watch: &Arc<JobWatch>) {
         self.watches[job as usize] = Some(watch.clone());
     }
 
-    /// A job is over.
+    /// Notes that a job is over.
     pub fn end(&mut self, job: Job) {
         self.watches[job as usize] = None;
     }
 
-    /// Stops a job, if it runs, for something newer.
+    /// Stops a job, if it runs, for a newer request.
     pub fn supersede(&self, job: Job) {
         self.watch(job).iter().for_each(|watch| watch.supersede());
     }

@@ -1,4 +1,5 @@
-//! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
+//! The engine's other end: a thread that opens models, does steps, and has models written, one after the
+//! other.
 
 use super::requests::{ComparisonRequest, Event, Extra, Job, Opening, StepsRequest, WriteRequest};
 use super::shared::{RunningJobs, SharedState};
@@ -19,7 +20,7 @@ use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// What the thread works with.
+/// State of the engine's thread.
 pub(super) struct EngineThread {
     shared: Arc<SharedState>,
     tell: Teller,
@@ -56,7 +57,7 @@ impl Teller {
         self.wake.clone()
     }
 
-    /// Sends what a job has come to so far.
+    /// Sends an event of a job that goes on.
     pub fn send(&self, event: Event) {
         let mut inner = self.shared.lock();
         inner.1.events += 1;
@@ -66,7 +67,7 @@ impl Teller {
         (self.wake)();
     }
 
-    /// Sends what became of a job, which is over.
+    /// Sends the outcome of a job, which is over.
     pub fn end(&self, job: Job, watch: &JobWatch, event: Option<Event>) {
         let notes = watch.take_notes().into_iter().map(Event::Note);
         let mut inner = self.shared.lock();
@@ -78,7 +79,7 @@ impl Teller {
         for event in notes.chain(event.filter(is_news)) {
             running.events += 1;
             running.opened += usize::from(event.ends_opening());
-            // Nobody listens any more once the window is closed.
+            // The event has no receiver once the window is closed.
             drop(self.events.send(event));
         }
         running.end(job);
@@ -88,7 +89,7 @@ impl Teller {
     }
 }
 
-/// What work came to, even if it panicked: a mistake here must not take the edit with it.
+/// Result of work, or an error if the work panicked: a mistake here must not take the edit with it.
 pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
@@ -112,7 +113,7 @@ impl EngineThread {
         }
     }
 
-    /// Does what is to be done, and tells the window what came of it.
+    /// Does a task, and tells the window its outcome.
     fn execute(&mut self, task: EngineTask, watch: Arc<JobWatch>) {
         match task {
             EngineTask::Open(opening) => {
@@ -142,7 +143,7 @@ impl EngineThread {
         }
     }
 
-    /// Waits for something to do, which is then running; nothing once the window is closed.
+    /// Waits for a task, which then counts as running; nothing once the window is closed.
     fn next(&mut self) -> Option<(EngineTask, Arc<JobWatch>)> {
         let mut inner = self.shared.lock();
         loop {
@@ -177,7 +178,7 @@ impl EngineThread {
         }
     }
 
-    /// Opens something; what was open before stays until that is done.
+    /// Opens a model or session; the former one stays until that is done.
     fn open(&mut self, opening: &Opening, progress: &JobWatch) -> Result<Event> {
         let (editor, mut evaluation) = opened(opening, &self.plugins, progress)?;
         let rest = evaluation.update(&[], &self.plugins, Effort::FULL, progress)?;
@@ -208,7 +209,7 @@ impl EngineThread {
         Ok(ViewerScene::new(evaluated, evaluation, effort, self.revision, &self.asked))
     }
 
-    /// Writes on a thread of its own, so that the edit goes on.
+    /// Writes the model on a thread of its own, so that the edit goes on.
     fn write(&mut self, evaluated: Evaluated, writing: WriteRequest, watch: Arc<JobWatch>) {
         if let Some(former) = self.writer.take() {
             let _ = former.join();
@@ -230,7 +231,8 @@ impl EngineThread {
     }
 }
 
-/// A scene with what else was wanted. Where attributes cannot be read, there is the scene nevertheless.
+/// The scene with the part that was wanted in addition. Where attributes cannot be read, the scene comes
+/// without them.
 fn with_extra(scene: ViewerScene, extra: &Extra, progress: &dyn Progress) -> Result<ViewerScene> {
     match extra {
         Extra::Nothing => Ok(scene),
@@ -261,13 +263,13 @@ fn opened(
     progress: &dyn Progress,
 ) -> Result<(Editor, Evaluation)> {
     let kept = if opening.recover { recover(&opening.path)? } else { None };
-    // What is in no file, or names another model there.
+    // An edit is unsaved that is in no file, or whose file names another path of the model.
     let is_unsaved = kept.is_some() || opening.model.is_some();
     let (editor, evaluation) = opened_as(opening, kept, plugins, progress)?;
     Ok((if is_unsaved { editor.unsaved() } else { editor }, evaluation))
 }
 
-/// Opens a model or a session, or what was kept of its edit against a crash, if anything was.
+/// Opens a model or a session, or the edit that was kept against a crash, if there is one.
 fn opened_as(
     Opening { path, sampling, model, .. }: &Opening,
     kept: Option<SessionFile>,
@@ -295,7 +297,7 @@ fn opened_as(
     Ok((editor.opened_by(path), evaluation))
 }
 
-/// A session that samples a model as it was sampled.
+/// Session with the sampling by which a model was sampled.
 fn session_of(sampled: &SampledModel) -> SessionFile {
     use simod_core::sampling::{By, Placement, Target};
     let (samples, error) = match sampled.sampling.target {
@@ -308,7 +310,7 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
     let min_opacity = has_opacity.then(|| sampled.sampling.min_opacity.unwrap_or(0.0));
     let sampling =
         SamplingTable { samples, error, grid: sampled.sampling.grid, place, by, sheets: None, min_opacity };
-    // Tiles are those that were sampled.
+    // Tiles are named one by one where the model was sampled from tiles.
     let model = sampled.source.tiles.is_empty().then(|| sampled.source.path.clone());
     SessionFile { model, columns: sampled.source.columns.clone(), sampling, ..SessionFile::default() }
 }

@@ -1,4 +1,4 @@
-//! Whether what is being done is of no more use.
+//! The test for work of the engine whose result is of no more use.
 
 use super::watch::StageKind;
 use simod_plugin_api::Effort;
@@ -6,12 +6,12 @@ use simod_session::edit::Entry;
 use simod_session::step::{Action, Region, Role, Step};
 use std::sync::Arc;
 
-/// Whether doing `before`, of which step `at` is being done (or prepared), helps neither those who look nor
-/// the newer request.
+/// Whether the work on the steps `before`, of which step `at` is being done (or prepared), is of use
+/// neither to the eye nor to the newer request.
 ///
-/// Drafts are never in each other's way: while something is dragged, each shows where it was a moment ago.
-/// Anything else is wasted once a step up to the one that is being done has changed; but for a preparation
-/// that the newer request needs too.
+/// Drafts are never in each other's way: while something is dragged, each draft shows where the thing was a
+/// moment ago. Other work is wasted once a step up to the one that is being done has changed; but not a
+/// preparation that the newer request needs too.
 pub fn is_wasted(
     before: &[Entry],
     was: Effort,
@@ -35,7 +35,7 @@ pub fn is_wasted(
     !(at == first && stage == StageKind::Preparation && prepared_alike())
 }
 
-/// Whether two steps differ at most in how things move.
+/// Whether two steps differ at most in their motions.
 fn is_prepared_alike(a: &Step, b: &Step) -> bool {
     let (Action::Deform(c), Action::Deform(d)) = (&a.action, &b.action) else { return false };
     let still = |regions: &[Region]| -> Vec<_> {

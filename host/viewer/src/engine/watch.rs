@@ -1,4 +1,4 @@
-//! Where a job is, as the window reads it and the job's thread tells it.
+//! Progress of a job, as the window reads it and the job's thread tells it.
 
 use super::emerged::Emerged;
 use simod_model::Progress;
@@ -8,17 +8,17 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Called from any thread when there is something new to be looked at: an event, or progress.
+/// Function that is called from any thread when there is news for the window: an event, or progress.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
 
-/// What a job is doing.
+/// Present activity of a job.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Activity {
     /// A few words for the user.
     pub stage: &'static str,
-    /// How much of the stage is done, 0 to 1; nothing where that is not known.
+    /// Share of the stage that is done, 0 to 1; nothing where that is not known.
     pub fraction: Option<f32>,
-    /// Bytes of the stage a second; nothing where it is not of bytes.
+    /// Bytes of the stage a second; nothing where the stage is not of bytes.
     pub rate: Option<f64>,
     /// Seconds since the job began.
     pub seconds: f64,
@@ -26,12 +26,12 @@ pub struct Activity {
     pub memory: Option<u64>,
 }
 
-/// The kind of a stage, for those who decide whether it is still of use.
+/// The kind of a stage, for those who decide whether the work is still of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StageKind {
-    /// What does not depend on how things move.
+    /// Preparation of a step, which does not depend on motions.
     Preparation,
-    /// Anything else.
+    /// Any other stage.
     Other,
 }
 
@@ -39,7 +39,7 @@ struct WatchedStage {
     kind: StageKind,
     name: &'static str,
     total: u64,
-    /// What it counts is bytes.
+    /// Whether the stage counts bytes.
     of_bytes: bool,
     since: Instant,
 }
@@ -51,7 +51,7 @@ pub(super) struct JobWatch {
     stage: Mutex<WatchedStage>,
     done: AtomicU64,
     cancelled: AtomicBool,
-    /// For something newer, which nobody needs to be told.
+    /// Whether the job was stopped for a newer request, which nobody needs to be told.
     superseded: AtomicBool,
     /// Hundredths of the stage that the window knows of.
     told: AtomicU64,
@@ -89,7 +89,7 @@ impl JobWatch {
         self.cancelled.store(true, Relaxed);
     }
 
-    /// Cancels it for something newer.
+    /// Cancels the job for a newer request.
     pub fn supersede(&self) {
         self.superseded.store(true, Relaxed);
         self.cancel();
@@ -120,12 +120,12 @@ impl JobWatch {
         (self.wake)();
     }
 
-    /// Looks at the samples that have emerged, if there are any.
+    /// Calls `look` with the samples that have emerged, if there are any.
     pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
         lock(&self.emerged).as_ref().map(look)
     }
 
-    /// What was told since this was asked last.
+    /// Notes of the job since the last call.
     pub fn take_notes(&self) -> Vec<String> {
         std::mem::take(&mut lock(&self.notes))
     }

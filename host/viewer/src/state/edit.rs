@@ -24,7 +24,8 @@ impl State {
         self.open.as_mut().map(|open| open.editor.document_mut()).ok_or_else(nothing_open)
     }
 
-    /// What was opened takes the place of what was there, which is kept against a crash if it was not saved.
+    /// Takes a model that was opened in the place of the former one, whose edit is kept against a crash if
+    /// it was not saved.
     pub(super) fn opened(&mut self, editor: Editor, scene: ViewerScene) {
         if let Err(error) = self.autosave() {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
@@ -97,8 +98,8 @@ impl State {
         Ok(())
     }
 
-    /// After a change of the steps: where the chosen one is gone, the one before it that is left is worked
-    /// on, or else the one behind it; where `takes_new`, one that has come is.
+    /// Chooses a step after a change of the steps: where the chosen one is gone, the one before it that is
+    /// left, or else the one behind it; where `takes_new`, a step that was added.
     pub(super) fn choose_near(&mut self, former: &[edit::Entry], takes_new: bool) {
         let Some(open) = &self.open else { return };
         let steps = open.steps();
@@ -128,17 +129,17 @@ impl State {
         self.entry(at)?.step.deformation().ok_or_else(none)
     }
 
-    /// What files among the parameters of new steps are relative to.
+    /// Folder to which the paths of files among the parameters of new steps are relative.
     fn folder(&self) -> Result<PathBuf> {
         let editor = &self.open()?.editor;
         Ok(folder_of(editor.path().or(editor.model()).unwrap_or(Path::new(""))).to_owned())
     }
 
-    /// A step as a text, to be [pasted](Command::Paste) into another edit, where it is of the group that it
-    /// comes into.
+    /// Text of a step, to be [pasted](Command::Paste) into another edit, where the step joins the group
+    /// that it comes into.
     ///
     /// # Errors
-    /// There is no such step; it is too long for a text.
+    /// There is no such step, or it is too long for a text.
     pub fn copied(&self, at: usize) -> Result<String> {
         let step = Step { group: None, ..(*self.entry(at)?.step).clone() };
         edit::copied(&[step], &self.plugins)
@@ -158,7 +159,7 @@ impl State {
 
     pub(super) fn paste(&mut self, text: &str, at: Option<usize>) -> Result<()> {
         let mut steps = edit::pasted(text, &self.folder()?)?;
-        // Steps that cannot be brought up to their plugins say so when they are done.
+        // Steps that cannot be brought up to their plugins' versions say so when they are done.
         for step in &mut steps {
             let _ = self.plugins.migrate(std::slice::from_mut(step));
         }
@@ -194,7 +195,7 @@ impl State {
         }
         let open = self.open.as_mut().ok_or_else(nothing_open)?;
         open.editor.set_output(output.clone());
-        // As `simod run` does unless told otherwise.
+        // The output is made as by `simod run` without options.
         let how = Reconstruction::default();
         let model = open.editor.model().map(Path::to_owned);
         let follow = open.editor.follow();
@@ -203,7 +204,8 @@ impl State {
         Ok(())
     }
 
-    /// A command whose effect depends on where samples were just then, as one that does the same anywhere.
+    /// A command whose effect depends on the samples' present positions, as one that does the same
+    /// anywhere.
     pub(super) fn resolved(&self, command: Command) -> Command {
         let same = |change: Option<edit::EditCommand>, command| change.map_or(command, Command::Edit);
         let steps = self.open.as_ref().map(|open| open.steps().clone()).unwrap_or_default();

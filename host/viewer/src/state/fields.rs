@@ -13,8 +13,9 @@ impl State {
         self.field_of(ComparedVersion::Now)
     }
 
-    /// The numbers that are shown on the surface of a version. While one is pinned, the scale is that of
-    /// both; what depends on the selection, or on the step that is chosen, is of the other one alone.
+    /// Numbers that are shown on the surface of a version. While a version is pinned, the scale is that of
+    /// both; numbers that depend on the selection, or on the step that is chosen, are of the version alone
+    /// that is worked on.
     pub fn field_of(&self, version: ComparedVersion) -> Option<Ref<'_, ScalarField>> {
         self.know(ComparedVersion::Now);
         self.know(ComparedVersion::Pinned);

@@ -10,16 +10,17 @@ use simod_core::detail::Streamed;
 pub(super) struct Preview {
     pub detail: Option<Detail>,
     pub streaming: Option<StreamedDetail>,
-    /// The user stopped it.
+    /// Whether the user stopped the stream.
     pub stopped: bool,
-    /// The last that was streamed to its end, and how long it took.
+    /// Figures of the last stream that came to its end, and its time in seconds.
     pub last: Option<(Streamed, f64)>,
 }
 
 /// The detail that is being streamed.
 pub(super) struct StreamedDetail {
     pub request: u64,
-    /// By what samples, one of how many vertices, and with what.
+    /// Request of the stream: the samples by which vertices are carried, the share of the vertices, and the
+    /// source of their colours.
     pub pose: SamplePose,
     pub stride: u64,
     pub tint: Tint,

@@ -8,7 +8,7 @@ use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 
 impl State {
-    /// Another selection; if it goes on with what was done before, both are undone as one.
+    /// Changes the selection; if the change goes on with the last one, both are undone as one.
     pub(super) fn set_selection(&mut self, selection: Selection, goes_on: bool) {
         let before = std::mem::replace(&mut self.selection, selection);
         if !goes_on {
@@ -20,7 +20,7 @@ impl State {
         }
     }
 
-    /// What selects from now on goes on with a change of the steps.
+    /// Ends the present selection after a change of the steps: later selections go on with that change.
     pub(super) fn leave_selection(&mut self) {
         self.selections.going_on = None;
     }
@@ -30,12 +30,12 @@ impl State {
         self.document().map_or(0, |document| document.depth())
     }
 
-    /// What [`Command::Undo`] would take back.
+    /// Name of the change that [`Command::Undo`] would take back.
     pub fn can_undo(&self) -> Option<&str> {
         if self.selections.is_last(self.changes()) { Some("select") } else { self.document()?.can_undo() }
     }
 
-    /// What [`Command::Redo`] would do again.
+    /// Name of the change that [`Command::Redo`] would do again.
     pub fn can_redo(&self) -> Option<&str> {
         if self.selections.is_next(self.changes()) { Some("select") } else { self.document()?.can_redo() }
     }
@@ -74,7 +74,7 @@ impl State {
         Ok(())
     }
 
-    /// Selects what was selected, and gives what is.
+    /// Restores a former selection, and returns the present one.
     fn exchange(&mut self, left: &Left) -> Vec<u32> {
         let former = Selection::from_runs(&left.runs, self.selection.marks().len());
         std::mem::replace(&mut self.selection, former).runs()

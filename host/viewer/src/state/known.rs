@@ -13,11 +13,12 @@ pub(super) struct VersionNumbers {
     pub range: [f32; 2],
 }
 
-/// What a field depends on.
+/// State on which a field depends.
 pub(super) struct FieldKey {
     pub overlay: Overlay,
     pub revision: u64,
-    /// The other version's revision, and whether it is known at all samples; where they are compared.
+    /// The other version's revision, and whether its positions are known for all samples; where versions
+    /// are compared.
     pub other: Option<(u64, bool)>,
     pub selection: Selection,
     pub steps: Arc<[Entry]>,

@@ -1,4 +1,4 @@
-//! All that the window shows, and the one way to change it: [`State::apply`].
+//! The viewer's state: all that the window shows, and the one way to change it: [`State::apply`].
 
 mod edit;
 mod fields;
@@ -55,9 +55,9 @@ const MOST_NOTICES: usize = 100;
 pub enum Notice {
     /// Good to know.
     Note(String),
-    /// Something came to nothing; the error says what to do.
+    /// A job failed; the error says what to do.
     Failed(Job, Error),
-    /// The deformed model was written.
+    /// The deformed model was written: its path, the figures, and the seconds that it took.
     Written(PathBuf, Box<Reconstructed>, f64),
 }
 
@@ -76,14 +76,14 @@ pub struct State {
     stroke: Option<OpenStroke>,
     overlay: Overlay,
     clip: Option<Clip>,
-    /// What is measured along, before all steps; model coordinates.
+    /// Points along which is measured, before all steps, in model coordinates.
     measured: Vec<DVec3>,
-    /// The model's own colours are shown where no numbers are.
+    /// Whether the model's own colours are shown where no numbers are.
     own_colors: bool,
     /// The last request for steps to be done, and the last one whose result is shown.
     requested: u64,
     shown: u64,
-    /// The last request for the model that was open before.
+    /// Number of the last request for the model that was open before.
     floor: u64,
     notices: Vec<Notice>,
     recorder: Option<Recorder>,
@@ -96,15 +96,16 @@ pub struct State {
     fields: RefCell<[Option<VersionNumbers>; 2]>,
     /// The version to compare with.
     pinned: Option<Pinned>,
-    /// How many were pinned so far.
+    /// Number of versions that were pinned so far.
     pins: u64,
-    /// What steps are called that were pinned before.
+    /// Name of steps that were pinned before, and these steps.
     named: Option<(String, Arc<[Entry]>)>,
     slowest: Slowest,
 }
 
 impl State {
-    /// With nothing open. `wake` is called from any thread when [`poll`](Self::poll) has something to do.
+    /// State with nothing open. `wake` is called from any thread when [`poll`](Self::poll) has something to
+    /// do.
     pub fn new(plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
         Self {
             engine: Engine::new(plugins.clone(), wake),
@@ -144,8 +145,8 @@ impl State {
     /// Does a command.
     ///
     /// # Errors
-    /// The command makes no sense, or a file cannot be written; nothing has changed then. What takes its time
-    /// fails later, with a [`Notice`].
+    /// The command makes no sense, or a file cannot be written; nothing has changed then. Work that takes
+    /// its time fails later, with a [`Notice`].
     pub fn apply(&mut self, command: Command) -> Result<()> {
         let (settled, begun) = (self.is_settled(), Instant::now());
         let done = self.perform(command.clone());
@@ -233,7 +234,7 @@ impl State {
         Ok(())
     }
 
-    /// Takes what the engine has done. Whether anything changed.
+    /// Takes the events of the engine. Returns whether anything changed.
     pub fn poll(&mut self) -> bool {
         let mut changed = false;
         while let Some(event) = self.engine.poll() {
@@ -243,10 +244,10 @@ impl State {
         changed
     }
 
-    /// Waits until all that was asked for is done.
+    /// Waits until all work that was asked for is done.
     ///
     /// # Errors
-    /// What was asked for takes longer than this.
+    /// The work takes longer than this.
     pub fn settle(&mut self, longest: Duration) -> Result<()> {
         while let Some(event) = self.engine.wait(longest)? {
             self.take(event);
@@ -286,7 +287,7 @@ impl State {
                     }
                     _ => {}
                 }
-                // Steps that were given up for a model that could not be opened.
+                // Evaluations that were given up for a model that could not be opened.
                 if job == Job::Open && self.shown != self.requested {
                     self.request(Effort::FULL);
                 }
@@ -302,7 +303,7 @@ impl State {
             return self.look_for_body();
         }
         let adjacency = Adjacency::of_model(after);
-        // What was appended belongs to what is around it.
+        // Samples that were appended belong to the former ones around them.
         if before.samples.positions != after.samples.positions {
             let former = former(&before, after);
             let owners = owners(&after.samples, |i| former[i].is_some(), |i| adjacency.neighbours(i));
@@ -318,23 +319,23 @@ impl State {
         }
     }
 
-    /// Whether the samples are where the steps put them, and no draft.
+    /// Whether the samples are at their final positions, and not those of a draft.
     pub fn is_settled(&self) -> bool {
         let full = self.open.as_ref().is_none_or(|open| open.scene.effort == Effort::FULL);
         full && self.shown == self.requested && !self.engine.is_opening()
     }
 
-    /// Whether anything that was asked for is still to come: a model, steps, or a file.
+    /// Whether any work is still going on: a model, steps, or a file.
     pub fn is_busy(&self) -> bool {
         !self.engine.is_idle()
     }
 
-    /// What there is to tell the user since this was asked last.
+    /// Messages for the user since the last call.
     pub fn take_notices(&mut self) -> Vec<Notice> {
         std::mem::take(&mut self.notices)
     }
 
-    /// What a job is doing, if it is running.
+    /// Progress of a job, if it is running.
     pub fn activity(&self, job: Job) -> Option<Activity> {
         self.engine.activity(job)
     }
@@ -344,7 +345,7 @@ impl State {
         self.engine.is_opening()
     }
 
-    /// Looks at those samples of the model that is being opened that are there by now, if there are any.
+    /// Calls `look` with the samples of the model that is being opened, as far as they are there.
     pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
         self.engine.emerged(look)
     }
@@ -379,7 +380,7 @@ impl State {
         self.editor().map(Editor::document)
     }
 
-    /// What is there to be drawn, if something is open.
+    /// Scene that is drawn, if something is open.
     pub fn scene(&self) -> Option<&Arc<ViewerScene>> {
         self.open.as_ref().map(|open| &open.scene)
     }
@@ -403,21 +404,21 @@ impl State {
         self.open.as_mut().map_or(Ok(()), |open| open.editor.autosave())
     }
 
-    /// The steps as they are need not be kept against a crash: the user does not want them.
+    /// Drops the copy of the steps that is kept against a crash, as the user does not want the steps.
     ///
     /// # Errors
-    /// What was kept cannot be removed.
+    /// The copy cannot be removed.
     pub fn discard(&mut self) -> Result<()> {
         self.open.as_mut().map_or(Ok(()), |open| open.editor.discard())
     }
 }
 
-/// When something was kept of a session or model against a crash, if anything was.
+/// Time when an edit of a session or model was kept against a crash, if one was.
 pub fn kept_at(path: &Path) -> Option<SystemTime> {
     simod_session::edit::kept_at(path)
 }
 
-/// Removes what was kept of a session or model against a crash.
+/// Removes the edit of a session or model that was kept against a crash.
 ///
 /// # Errors
 /// The file cannot be removed.
@@ -425,10 +426,10 @@ pub fn forget(path: &Path) -> Result<()> {
     simod_session::edit::forget(path)
 }
 
-/// What was kept of a session or model against a crash, if anything; see [`Command::Open`].
+/// Edit of a session or model that was kept against a crash, if there is one; see [`Command::Open`].
 ///
 /// # Errors
-/// There is something, but it cannot be read.
+/// There is such an edit, but it cannot be read.
 pub fn recoverable(path: &Path) -> Result<Option<SessionFile>> {
     simod_session::edit::recover(path)
 }

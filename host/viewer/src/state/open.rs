@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub(super) struct OpenSession {
     pub editor: Editor,
     pub scene: Arc<ViewerScene>,
-    /// The scene's samples next to each.
+    /// Samples of the scene that are next to each sample.
     pub adjacency: Arc<Adjacency>,
 }
 
@@ -25,7 +25,7 @@ impl OpenSession {
     }
 }
 
-/// A command that needs a model.
+/// Error of a command that needs a model.
 pub(super) fn nothing_open() -> Error {
     Error::argument("no model is open", "open one")
 }

@@ -11,7 +11,7 @@ pub(super) struct OpenStroke {
 }
 
 impl OpenStroke {
-    /// The steps with the stroke as far as it is.
+    /// The steps with the stroke as far as it is drawn.
     pub fn preview(&self, steps: &Arc<[Entry]>) -> Option<Arc<[Entry]>> {
         if self.stroke.defect().is_some() {
             return None;

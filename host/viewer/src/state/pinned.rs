@@ -14,11 +14,11 @@ use simod_session::SessionFile;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What the user reads where a swap is undone.
+/// Name of a swap in the list of changes, which the user reads where it is undone.
 const SWAP: &str = "go on with the pinned version";
 
 impl State {
-    /// What is there to be drawn of a version, if it is there.
+    /// Scene of a version, if it is there.
     pub fn scene_of(&self, version: ComparedVersion) -> Option<&Arc<ViewerScene>> {
         match version {
             ComparedVersion::Now => self.scene(),
@@ -26,7 +26,7 @@ impl State {
         }
     }
 
-    /// What the pinned version is called, if there is one; its samples may still be on their way.
+    /// Name of the pinned version, if there is one; its samples may still be on their way.
     pub fn pinned(&self) -> Option<&str> {
         self.pinned.as_ref().map(|pinned| &*pinned.version.name)
     }
@@ -96,9 +96,9 @@ impl State {
         Ok(Steps { name, steps, scene })
     }
 
-    /// After a change of the steps that swapped the versions, or took that back: the pinned one is worked on,
-    /// and the `former` one is pinned. Nothing else of this label makes the pinned steps those that are
-    /// worked on.
+    /// Follows a change of the steps that swapped the versions, or took that back: the pinned version
+    /// becomes the one that is worked on, and the `former` one is pinned. Changes with another label are no
+    /// swaps.
     pub(super) fn swapped(&mut self, label: &str, former: Steps) {
         let (Some(open), Some(pinned)) = (&self.open, &mut self.pinned) else { return };
         let steps = open.steps().clone();
@@ -111,7 +111,7 @@ impl State {
         if self.chosen().is_none() {
             self.chosen = steps.iter().rfind(|entry| entry.step.deformation().is_some()).map(|e| e.id);
         }
-        // What comes of former requests is not of these steps.
+        // Results of former requests are not of these steps.
         self.floor = self.requested;
         if let Some(scene) = scene {
             self.show_scene(scene);
@@ -121,7 +121,7 @@ impl State {
         self.pin_version(version, false);
     }
 
-    /// Asks the engine for what is missing of the pinned version.
+    /// Asks the engine for the parts of the pinned version that are missing.
     pub(super) fn compare(&mut self) {
         let (Some(open), Some(pinned)) = (&self.open, &mut self.pinned) else { return };
         let scene = pinned.version.scene.clone();
@@ -147,7 +147,7 @@ impl State {
         self.engine.compare(Some(ComparisonRequest { number, steps, scene, whole, measure, onto }));
     }
 
-    /// What was asked for was given up.
+    /// Asks again for a comparison that was given up.
     pub(super) fn compare_again(&mut self) {
         if let Some(pinned) = &mut self.pinned {
             pinned.asked = None;
@@ -155,7 +155,7 @@ impl State {
         self.compare();
     }
 
-    /// What the engine has found of a version.
+    /// Takes the samples of a version that the engine has made.
     pub(super) fn compared(&mut self, number: u64, scene: Arc<ViewerScene>, carried: Option<CarriedSamples>) {
         if let Some(pinned) = self.pinned.as_mut().filter(|pinned| pinned.number == number) {
             pinned.version.scene = Some(scene);
@@ -164,7 +164,7 @@ impl State {
         self.compare();
     }
 
-    /// The engine could not make it: without samples it is of no use.
+    /// Drops a version that the engine could not make: without samples it is of no use.
     pub(super) fn not_compared(&mut self) {
         if self.pinned.as_ref().is_some_and(|pinned| pinned.scene().is_none()) {
             self.unpin();

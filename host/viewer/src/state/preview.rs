@@ -10,16 +10,16 @@ use rayon::prelude::*;
 use simod_core::detail::{DetailBatch, DetailRequest, ENOUGH, Streamed};
 use simod_model::Result;
 
-/// Samples around those that are seen, whose vertices may be.
+/// Number of samples around a seen one whose vertices may be seen, too.
 const RING: usize = 8;
 
 impl State {
-    /// What is shown in full, if anything is.
+    /// Vertices that are shown in full, if any are.
     pub fn detail(&self) -> Option<&Detail> {
         self.preview.detail.as_ref()
     }
 
-    /// What was read for it the last time, and how long it took in seconds.
+    /// Figures of the last stream of vertices, and its time in seconds.
     pub fn streamed(&self) -> Option<(Streamed, f64)> {
         self.preview.last
     }
@@ -60,7 +60,7 @@ impl State {
         Ok(())
     }
 
-    /// What is shown in full may have to be streamed again, with other numbers.
+    /// Changes the colour values of the vertices in full, which may have to be streamed again for that.
     pub(super) fn tint_detail(&mut self) {
         let tint = self.tint();
         if let Some(detail) = &mut self.preview.detail
@@ -70,14 +70,14 @@ impl State {
         }
     }
 
-    /// Samples everywhere.
+    /// Shows samples everywhere.
     pub(super) fn end_preview(&mut self) {
         self.preview = Preview::default();
         self.engine.forget_preview();
     }
 
-    /// The samples are somewhere else: what was streamed may be stale. It is streamed again once the edit
-    /// rests.
+    /// Takes the samples' new positions: vertices that were streamed may be stale, and are streamed again
+    /// once the edit rests.
     pub(super) fn follow_samples(&mut self) {
         let Some(scene) = self.open.as_ref().map(|open| open.scene.clone()) else { return };
         let pose = SamplePose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
@@ -87,7 +87,7 @@ impl State {
         }
     }
 
-    /// Has streamed what is wanted and not there, if the edit rests.
+    /// Has the vertices streamed that are wanted and missing, if the edit rests.
     pub(super) fn stream_missing(&mut self) {
         let rests = self.is_settled() && self.stroke.is_none() && !self.preview.stopped;
         let (Some(open), Some(detail)) = (&self.open, &self.preview.detail) else { return };
@@ -116,15 +116,14 @@ impl State {
         }
     }
 
-    /// All have come that were asked for.
+    /// Notes that all vertices that were asked for have come.
     pub(super) fn take_streamed(&mut self, request: u64, report: Streamed, seconds: f64) {
         if self.preview.streaming.take_if(|streaming| streaming.request == request).is_some() {
             self.preview.last = Some((report, seconds));
         }
     }
 
-    /// Notes that the preview came to nothing, and is not tried again until somebody asks; as may be the case
-    /// already.
+    /// Notes that the preview failed or was stopped, and is not tried again until somebody asks.
     pub(super) fn stop_preview(&mut self) {
         if !self.engine.wants(Job::Preview) && self.engine.activity(Job::Preview).is_none() {
             self.preview.streaming = None;
@@ -132,7 +131,7 @@ impl State {
         }
     }
 
-    /// The user stops it.
+    /// Stops the preview for the user.
     pub(super) fn cancel_preview(&mut self) {
         self.preview.streaming = None;
         self.preview.stopped = true;

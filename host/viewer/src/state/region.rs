@@ -1,4 +1,4 @@
-//! Regions of what is selected, and the handles that move.
+//! Regions made of the selection, and the handles that move.
 
 use super::State;
 use super::edit::missing;
@@ -19,12 +19,12 @@ use simod_session::{Motion, OwnHandles, PickedPoints, RegionShape, Shapes};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Neighbours of a selected sample that tell where the selection ends.
+/// Number of neighbours of a selected sample by which the border of the selection is found.
 const RING: usize = 8;
 
 impl OpenSession {
-    /// The samples as a step finds them, local coordinates. Of one that was not reached yet, as they are
-    /// shown.
+    /// The samples' positions as a step finds them, in local coordinates; the shown ones for a step that
+    /// was not reached yet.
     fn before(&self, id: StepId) -> &[Vec3] {
         let steps = self.steps();
         let from = steps.iter().position(|e| e.id == id).unwrap_or(steps.len());
@@ -48,7 +48,7 @@ impl State {
         Ok(&region.shapes)
     }
 
-    /// Some samples, as a step finds them, as geometry.
+    /// Geometry of some samples, as a step finds them.
     fn picked(&self, positions: &[Vec3], selection: &Selection) -> Result<PickedPoints> {
         let open = self.open()?;
         let (scene, frame) = (&open.scene, open.scene.frame());
@@ -68,8 +68,8 @@ impl State {
         }
         let outside = |next: &[bool]| (0..count).filter(|i| next[*i]).map(point).collect();
         let picked = PickedPoints::new(inside.clone(), outside(&next));
-        // Samples that are nearer to the selection than to its border, as on the other side of a thin wall,
-        // have to be told.
+        // Samples that are not selected count as outside, if they are nearer to the selection than to its
+        // border, as on the other side of a thin wall.
         let more = |i: usize| !selected(i) && (next[i] || picked.signed_distance(point(i)) <= 0.0);
         let next: Vec<bool> = (0..count).into_par_iter().map(more).collect();
         Ok(PickedPoints::new(inside, outside(&next)))
@@ -98,9 +98,9 @@ impl State {
         self.change(at, Change::SetRegions(regions))
     }
 
-    /// The samples that are farther from the selection than so much, in the model's unit, from neighbour to
-    /// neighbour as a step finds them (E. W. Dijkstra, *A note on two problems in connexion with graphs*,
-    /// 1959). What is not connected with it is.
+    /// Samples that are farther from the selection than `band`, in the model's unit, along ways from
+    /// neighbour to neighbour as a step finds them (E. W. Dijkstra, *A note on two problems in connexion
+    /// with graphs*, 1959). Samples that are not connected with the selection are beyond, too.
     fn beyond(&self, before: &[Vec3], band: f64) -> Result<Selection> {
         let open = self.open()?;
         let positions = &*as_found(&open.scene, before).positions;
@@ -181,12 +181,12 @@ impl State {
         self.change(step, Change::SetJoints(joints))
     }
 
-    /// The largest balls inside of the model, as a step finds it, model coordinates; none where it encloses
-    /// nothing.
+    /// Largest balls inside of the model, as a step finds it, in model coordinates; empty where the model
+    /// encloses nothing.
     pub fn body(&self, step: usize) -> Vec<Ball> {
         let (Ok(before), Some(scene)) = (self.before(step), self.scene()) else { return Vec::new() };
         let (samples, frame) = (&scene.sampled.samples, scene.frame());
-        // Where they have gone until then, about as the samples that are nearest.
+        // The balls have moved until then about as the samples that are nearest to their middles.
         let moved = |ball: Ball| {
             let nearest = samples.nearest(ball.center.as_vec3()) as usize;
             let way = before.get(nearest).map_or(Vec3::ZERO, |to| *to - samples.positions[nearest]);
@@ -199,7 +199,8 @@ impl State {
         }
     }
 
-    /// Begins to find the middle of the body, where the chosen step has joints and it is not known yet.
+    /// Begins to find the middle of the body, where the chosen step takes joints and the middle is not
+    /// known yet.
     pub(super) fn look_for_body(&mut self) {
         let (Some(step), Some(scene)) = (self.chosen(), self.scene()) else { return };
         let takes_joints = self
@@ -212,20 +213,19 @@ impl State {
         }
     }
 
-    /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model
+    /// Place of a point of the shown surface as a step finds the surface, for strokes and joints, in model
     /// coordinates.
     pub fn in_step(&self, step: usize, hit: &Hit) -> Option<DVec3> {
         let open = self.open.as_ref()?;
         let before = self.before(step).ok()?;
-        // What the step does not know yet goes along with what is around it.
+        // A sample that the step does not know yet goes along with a known one beside it.
         let sample = owner_of(&open.scene.sampled, hit.sample, before.len())?;
         let (scene, sample) = (&open.scene, sample as usize);
         let (was, is) = (before.get(sample)?, scene.positions.get(sample)?);
         Some(scene.frame().to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
     }
 
-    /// The point that a handle region turns about: its motion's own, or the middle of what it holds. Model
-    /// coordinates.
+    /// Pivot of a handle region: that of its motion, or the middle of its samples, in model coordinates.
     pub fn handle_pivot(&self, step: usize, region: usize) -> Option<DVec3> {
         let Region { shapes, motion, .. } = self.deformation(step).ok()?.regions.get(region)?;
         if let Some(pivot) = motion.pivot {
@@ -243,14 +243,14 @@ impl State {
         (weight > 0.0).then(|| sum / weight)
     }
 
-    /// The handles that a step's plugin placed, and where they are; none where it was not done yet.
+    /// Handles that a step's plugin placed, with their places; none where the step was not done yet.
     pub fn handles(&self, step: usize) -> Vec<(HandleDesc, PlacedHandle)> {
         let (Some(open), Ok(deformation)) = (&self.open, self.deformation(step)) else { return Vec::new() };
         let Some(OwnHandles { descs, .. }) = self.own_handles(step) else { return Vec::new() };
         let mut placed = placed_handles(descs, &deformation.handles, &open.scene.frame());
         let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
         let is_moved = |id: &str| deformation.handles.iter().any(|handle| handle.id == id);
-        // What a joint reaches for is where that is, as long as nobody wants it elsewhere.
+        // The handle for which a joint reaches is at the joint, as long as nobody moved it elsewhere.
         for i in (0..descs.len()).filter(|i| !is_joint(&descs[*i].id) && !is_moved(&descs[*i].id)) {
             let is_of = |joint: &HandleDesc| is_joint(&joint.id) && joint.position == descs[i].position;
             if descs[i].parent == HandleDesc::ROOT
@@ -263,7 +263,8 @@ impl State {
         descs.iter().cloned().zip(placed).collect()
     }
 
-    /// Where a joint is: where the body takes it if an end reaches for a place. Model coordinates.
+    /// Place of a joint, in model coordinates: that of the body, if an end of the skeleton reaches for a
+    /// place.
     fn joint_place(&self, step: usize, joint: usize, placed: &[PlacedHandle]) -> DVec3 {
         let frame = self.open.as_ref().map(|open| open.scene.frame());
         match (self.posed(step).and_then(|posed| posed.get(joint)), frame) {
@@ -272,8 +273,9 @@ impl State {
         }
     }
 
-    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a
-    /// place: local coordinates. None where they are where their own motions take them.
+    /// Posed places of the handles that a step's plugin placed, in local coordinates, if the step has
+    /// joints and an end of the skeleton reaches for a place. Nothing where the handles are at the places
+    /// of their own motions.
     pub fn posed(&self, step: usize) -> Option<&[DVec3]> {
         let deformation = self.deformation(step).ok()?;
         let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
@@ -286,8 +288,8 @@ impl State {
         (posed.1.len() == handles.descs.len()).then_some(&*posed.1)
     }
 
-    /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not
-    /// done yet.
+    /// Handles that a step's plugin placed, at rest, with the faces between them; none where the step was
+    /// not done yet.
     pub fn own_handles(&self, step: usize) -> Option<&OwnHandles> {
         self.open.as_ref()?.scene.handles.get(&self.entry(step).ok()?.id).map(|handles| &**handles)
     }

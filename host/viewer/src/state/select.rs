@@ -18,8 +18,9 @@ impl State {
         self.depth(&scene).pick(&scene, pixel)
     }
 
-    /// The middle of the body under a pixel, where a step finds it: between the surface there and the one
-    /// behind it that looks away. On the surface where there is none, as in an open scan. Model coordinates.
+    /// Middle of the body under a pixel, as a step finds the body, in model coordinates: between the
+    /// surface there and the one behind it that looks away. A point of the surface where there is none
+    /// behind, as in an open scan.
     pub fn pick_middle(&self, step: usize, pixel: DVec2) -> Option<DVec3> {
         let scene = self.scene()?.clone();
         let near = self.depth(&scene).pick(&scene, pixel)?;
@@ -29,7 +30,8 @@ impl State {
         Some(far.map_or(near, |far| 0.5 * (near + far)))
     }
 
-    /// The depth buffer of what is shown; made where the one that was asked for last is of something else.
+    /// Depth buffer of the shown scene; made anew where the last one is of another scene, camera, size or
+    /// plane.
     pub(super) fn depth(&self, scene: &Arc<ViewerScene>) -> Arc<DepthBuffer> {
         let (camera, size, clip) = (self.camera, self.size, self.local_clip());
         let is_it = |(revision, depth): &(u64, Arc<DepthBuffer>)| {
@@ -58,7 +60,7 @@ impl State {
         } else if visible {
             Selection::from_marks(both(&self.depth(&scene).visible(&scene)))
         } else {
-            // Through the model, but not through what is cut away.
+            // Samples are taken through the model, but not through the part that is cut away.
             let clip = self.local_clip();
             let is_there: Vec<bool> = scene.positions.iter().map(|p| !cuts(clip, *p)).collect();
             Selection::from_marks(both(&is_there))
@@ -69,7 +71,7 @@ impl State {
         Ok(())
     }
 
-    /// The samples of an area, seen or not.
+    /// Samples of an area, visible or not.
     fn pointed(&self, area: &Area) -> Result<Selection> {
         let open = self.open()?;
         let (scene, adjacency) = (&open.scene.clone(), &open.adjacency.clone());

@@ -8,7 +8,7 @@ const LONGEST: usize = 200;
 /// ... and most numbers of all of them, of four bytes each.
 const MOST: usize = 4 << 20;
 
-/// A selection, and how many changes of the steps had been done when it was left.
+/// Former selection, and the number of changes of the steps that had been done when it was left.
 pub(super) struct Left {
     pub depth: u64,
     pub runs: Vec<u32>,
@@ -21,13 +21,13 @@ pub(super) struct Left {
 pub(super) struct Selections {
     pub done: VecDeque<Left>,
     pub undone: Vec<Left>,
-    /// Whether one was left for the selection that others may go on with, if the last command made such a
-    /// one.
+    /// Whether a selection was left for the present one, with which others may go on; nothing if the last
+    /// command made none such.
     pub going_on: Option<bool>,
 }
 
 impl Selections {
-    /// The selection was this one.
+    /// Keeps a selection that was left.
     pub fn leave(&mut self, depth: u64, before: &Selection) {
         self.undone.clear();
         self.done.push_back(Left { depth, runs: before.runs() });
@@ -37,12 +37,12 @@ impl Selections {
         }
     }
 
-    /// Whether one was left since so many changes of the steps had been done, and no other change.
+    /// Whether a selection was left after so many changes of the steps, and none was done since.
     pub fn is_last(&self, depth: u64) -> bool {
         self.done.back().is_some_and(|left| left.depth == depth)
     }
 
-    /// Whether one was undone since so many changes of the steps had been done, and no other change.
+    /// Whether a selection was undone after so many changes of the steps, and none was done since.
     pub fn is_next(&self, depth: u64) -> bool {
         self.undone.last().is_some_and(|left| left.depth == depth)
     }

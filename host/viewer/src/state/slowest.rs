@@ -1,24 +1,23 @@
-//! How long commands hold up the thread that gives them, which is the window's.
+//! Times for which commands hold up the thread that gives them, which is the window's.
 
 use crate::command::Command;
 use std::fmt::{self, Write};
 use std::time::Duration;
 
-/// What takes longer is felt.
+/// Duration above which a user feels a delay.
 const FELT: Duration = Duration::from_millis(50);
 
-/// Most characters of a command that are told.
+/// Most characters of a command in the message.
 const LONGEST: usize = 60;
 
 /// The commands that took longest.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Slowest {
-    /// The beginning of the command that took longest, as a recording's reader knows it; empty where there
-    /// was none.
+    /// The beginning of the command that took longest, as in a recording; empty where there was none.
     pub command: String,
-    /// The time that it took.
+    /// Duration of that command.
     pub took: Duration,
-    /// How many took longer than 50 ms.
+    /// Number of commands that took longer than 50 ms.
     pub felt: u64,
 }
 
@@ -39,7 +38,7 @@ impl fmt::Display for Slowest {
     }
 }
 
-/// The beginning of a command: it may have a million numbers.
+/// Beginning of a command's text: the whole may have a million numbers.
 fn beginning(command: &Command) -> String {
     struct StageStart(String);
     impl Write for StageStart {

@@ -23,7 +23,7 @@ impl State {
     ) -> Result<()> {
         self.deformation(step)?;
         let stroke = Stroke { radius, strength, points: Vec::new(), pressures: Vec::new(), params };
-        // All but that it has no point yet.
+        // The stroke is checked as with one point, which it does not have yet.
         let some = Stroke { points: vec![DVec3::ZERO], ..stroke.clone() };
         if let Some((what, hint)) = some.defect() {
             return Err(Error::argument(what, hint));

@@ -1,4 +1,4 @@
-//! The two versions that are compared, and what is known of the pinned one.
+//! The two versions that are compared, and the data of the pinned one.
 
 use crate::engine::CarriedSamples;
 use crate::scene::ViewerScene;
@@ -10,9 +10,9 @@ use std::sync::Arc;
 /// One of the two versions that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ComparedVersion {
-    /// The one that is worked on.
+    /// The version that is worked on.
     Now,
-    /// The one that is pinned.
+    /// The version that is pinned.
     Pinned,
 }
 
@@ -21,15 +21,16 @@ pub(super) struct Pinned {
     /// The version's number, for the engine.
     pub number: u64,
     pub version: Steps,
-    /// Whether it is of no use with a step that cannot be done.
+    /// Whether the version is of no use with a step that cannot be done.
     pub whole: bool,
-    /// Where it has the samples of the other version, which was refined otherwise.
+    /// Positions in this version of the other version's samples, where that was refined otherwise.
     pub carried: Option<CarriedSamples>,
-    /// What the engine was asked for last: the error to be expected, and where it has these samples.
+    /// Last request to the engine: whether the error to be expected is wanted, and the samples whose
+    /// positions are.
     pub asked: Option<(bool, Option<Arc<SampledModel>>)>,
 }
 
-/// Steps with a name, and the samples that they come to, once these are known.
+/// Steps with a name, and the samples that result from them, once these are known.
 pub(super) struct Steps {
     pub name: String,
     pub steps: Arc<[Entry]>,
@@ -41,7 +42,7 @@ impl Pinned {
         self.version.scene.as_ref()
     }
 
-    /// Where it has all samples of a scene, if that is known.
+    /// Positions of all samples of a scene in this version, if they are known.
     pub fn carried(&self, onto: &Arc<SampledModel>) -> Option<&Arc<[Vec3]>> {
         let known = self.carried.as_ref().filter(|carried| Arc::ptr_eq(&carried.sampled, onto));
         known.map(|carried| &carried.positions)

@@ -1,4 +1,4 @@
-//! The camera, and what is shown on the surface.
+//! The camera, and the numbers or colours that are shown on the surface.
 
 use super::State;
 use crate::camera::Camera;
@@ -26,7 +26,7 @@ impl State {
         self.size
     }
 
-    /// What is shown on the surface.
+    /// Numbers or colours that are shown on the surface.
     pub fn overlay(&self) -> Overlay {
         self.overlay
     }
@@ -79,13 +79,13 @@ impl State {
         Ok(())
     }
 
-    /// The points that are measured along, as the steps are now.
+    /// Points along which is measured, with their places after the present steps.
     pub fn measured(&self) -> Vec<MeasuredPoint> {
         let Some(scene) = self.scene() else { return Vec::new() };
         self.measured.iter().map(|rest| carried(scene, *rest)).collect()
     }
 
-    /// Where a point that is shown was before all steps. Model coordinates.
+    /// Place before all steps of a point that is shown, in model coordinates.
     pub fn at_rest(&self, hit: &Hit) -> Option<DVec3> {
         Some(at_rest(self.scene()?, hit))
     }
@@ -103,12 +103,13 @@ impl State {
         Ok(())
     }
 
-    /// The numbers that each vertex of the model has besides, which can be [shown](Overlay::Attribute).
+    /// Numbers that each vertex of the model has besides its position, which can be
+    /// [shown](Overlay::Attribute).
     pub fn attributes(&self) -> &[Attribute] {
         self.scene().map_or(&[], |scene| &scene.sampled.source.attributes)
     }
 
-    /// What vertices that are shown in full are coloured by themselves.
+    /// Source of the colours of vertices that are shown in full.
     pub fn tint(&self) -> Tint {
         match self.overlay {
             Overlay::Attribute(place) if place < self.attributes().len() => Tint::Attribute(place),

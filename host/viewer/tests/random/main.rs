@@ -1,5 +1,5 @@
-//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound.
-//! A program of its own, as its memory is looked at.
+//! Random commands of a user, in whatever order: nothing panics, nothing is lost, and nothing grows without
+//! bound. The test is a program of its own, as its memory is measured.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 #[path = "../viewer/helpers.rs"]
@@ -156,7 +156,7 @@ fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
-/// Texts that somebody might paste: a step, two of them, and what is none.
+/// Texts that somebody might paste: a step, two steps, and a text that is no step.
 fn text() -> impl Strategy<Value = String> {
     prop::sample::select(vec![
         "version = 1\n[[step]]\ndeform = \"warp\"\n[step.params]\nangle = 20.0\n",
@@ -181,10 +181,10 @@ fn with_copy(state: &State, command: Command) -> Command {
     }
 }
 
-/// Of the model.
+/// Number of the model's vertices.
 const VERTICES: u64 = 3000;
 
-/// What has to hold at any time.
+/// Conditions that have to hold at any time.
 fn check(state: &mut State) {
     let scene = state.scene().expect("a model").clone();
     assert_eq!(state.selection().marks().len(), scene.len());
@@ -221,10 +221,11 @@ fn check(state: &mut State) {
 /// Commands between two looks at the memory: as many as can be undone.
 const SPELL: usize = 1000;
 
-/// Does so many random commands. How much memory is held after each thousand, when nothing is left of the
-/// steps but what can be undone; and what took longest.
+/// Does so many random commands. Returns the memory that is held after each thousand, when nothing is left
+/// of the steps but their history; and the slowest commands.
 fn soak(commands: usize) -> (Vec<u64>, Slowest) {
-    // What the allocator keeps for itself differs from run to run by more than what is looked for.
+    // The memory that the allocator keeps for itself differs from run to run by more than the growth that
+    // is looked for.
     memory::return_large_blocks();
     let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();
@@ -244,7 +245,7 @@ fn soak(commands: usize) -> (Vec<u64>, Slowest) {
         if i % 10 == 0 {
             check(&mut state);
         }
-        // More than a person adds, and each refinement makes more samples.
+        // There are more steps than a person adds, and each refinement makes more samples.
         if state.document().unwrap().steps().len() > 6 {
             state.apply(Command::Edit(edit::EditCommand::Remove { at: 0 })).unwrap();
         }

@@ -64,7 +64,7 @@ fn colored(folder: &Path) -> (PathBuf, Vec<DVec3>) {
     (path, positions)
 }
 
-/// What is shown of each cell's vertices, in the order of the model.
+/// Values of the shown vertices of each cell, in the order of the model.
 fn shown<T: Clone>(state: &State, of: impl Fn(&Values) -> Vec<T>) -> BTreeMap<u32, Vec<T>> {
     let mut found = BTreeMap::new();
     for piece in state.detail().unwrap().pieces().values() {
@@ -87,7 +87,7 @@ fn samples_and_vertices_have_the_models_numbers() {
     let names: Vec<&str> = state.attributes().iter().map(|a| a.name.as_str()).collect();
     assert_eq!(names, ["red", "green", "blue", "intensity", "classification"]);
 
-    // Means over what a sample stands for: near its own, but where green jumps.
+    // Samples have means over their vertices: near their own colours, but where green jumps.
     let at = |i: usize| scene.frame().to_model(scene.sampled.samples.positions[i]);
     let near = (0..scene.len()).filter(|i| {
         let (is, due) = (scene.sampled.colors[*i], color(at(*i)));

@@ -105,7 +105,7 @@ fn samples_that_one_version_has_are_compared_with_its_reconstruction() {
     assert!(off(&mut state, ComparedVersion::Now, 0.3) < 1e-4, "a shear is carried over exactly");
     assert!(off(&mut state, ComparedVersion::Pinned, 0.3) < 1e-5);
 
-    // The other way round, what only the pinned one has is shown as its neighbours are.
+    // With versions swapped, samples that only the pinned one has are shown as their neighbours are.
     done(&mut state, Command::SwapPinned);
     assert_eq!(
         [now, pinned],
@@ -236,7 +236,7 @@ fn a_recording_compares_the_same() {
     let commands = [
         Command::AddStep { plugin: "warp".into(), at: None },
         set(0, "operation", "bend"),
-        // What is pinned is on its way.
+        // The pinned version is on its way.
         Command::Pin,
         Command::Show(Overlay::Difference),
         refined(2.0),

@@ -19,7 +19,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// What was recorded, to be looked at later.
+/// Recording, to be looked at later.
 #[derive(Clone, Default)]
 pub(super) struct Tape(pub Arc<Mutex<Vec<u8>>>);
 
@@ -235,7 +235,7 @@ fn normals_turn_as_the_surface_does() {
     let change = Change::SetParam { id: "angle".into(), value: Some(120.0.into()) };
     done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     let scene = state.scene().unwrap();
-    // As those that are fitted with care, but for some at the bar's edges.
+    // Normals are as those that are fitted with care, but for some at the bar's edges.
     let fitted = simod_core::reconstruction::deformed_normals(&scene.sampled.samples, &scene.positions);
     let median = |normals: &[Vec3]| {
         let mut cosines: Vec<f32> = normals.iter().zip(&fitted).map(|(a, b)| a.dot(*b)).collect();
@@ -246,8 +246,8 @@ fn normals_turn_as_the_surface_does() {
     assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
 }
 
-/// While something is dragged, how the surface lies is found where it is drawn; and there it lies as if all
-/// of it had been looked at. At rest it is where the steps put it to the last digit.
+/// While something is dragged, the shading is computed where it is drawn; and is the same there as if all
+/// of it had been computed. At rest the surface is where the steps put it to the last digit.
 #[test]
 fn a_part_of_a_draft_lies_as_all_of_it_does() {
     let folder = tempfile::tempdir().unwrap();
@@ -319,7 +319,7 @@ fn a_step_goes_by_a_text_to_another_edit() {
     assert_eq!(other.chosen(), Some(1));
     let positions = |state: &State| state.scene().unwrap().positions.to_vec();
     assert!(positions(&other) == positions(&first), "the others move nothing");
-    // One change, that can be undone; and what makes no sense changes nothing.
+    // All of it is one change, that can be undone; and a text that makes no sense changes nothing.
     done(&mut other, Command::Undo);
     assert_eq!(names(&other), ["lattice", "lattice"]);
     for (text, at) in [(text.as_str(), Some(9)), ("nonsense", None), ("", None)] {

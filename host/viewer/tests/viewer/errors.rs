@@ -1,4 +1,4 @@
-//! What goes wrong, and leaves the edit as it was.
+//! Failures that leave the edit as it was.
 
 use super::helpers::common::{copy, load, load_isolated};
 use super::{LONG, done, model, open, plugins, state};
@@ -45,12 +45,12 @@ fn what_cannot_be_opened_leaves_what_is_open() {
     assert!(state.apply(Command::Save { path: None }).unwrap_err().to_string().contains("no file yet"));
 }
 
-/// Until a failure was taken, nobody takes the model for opened.
+/// An opening that failed counts as going on until its failure was taken.
 #[test]
 fn a_failure_that_was_not_taken_yet_is_no_model() {
     let (tell, told) = std::sync::mpsc::channel();
     let tell = std::sync::Mutex::new(tell);
-    // Nobody listens any more in the end.
+    // Nobody receives the events any more in the end.
     let mut state = State::new(plugins(), Arc::new(move || _ = tell.lock().unwrap().send(())));
     let folder = tempfile::tempdir().unwrap();
     state.apply(open(&folder.path().join("nowhere.ply"), 100)).unwrap();
@@ -78,7 +78,7 @@ fn steps_of_plugins_that_are_missing_stay() {
     let Status::Failed(error) = &second.1 else { panic!("it is missing") };
     assert!(error.to_string().contains("there is no plugin `from-elsewhere`"), "{error}");
     assert_eq!(scene.before.len(), 2);
-    // It is written nowhere, but saved.
+    // The edit cannot be written as a model, but can be saved.
     let output = folder.path().join("edited.ply");
     done(&mut state, Command::Write { output: output.clone() });
     assert!(failure(&mut state).0 == Job::Write && !output.exists());
@@ -148,7 +148,7 @@ fn what_runs_in_the_background_can_be_cancelled() {
     assert!(state.take_notices().iter().any(|n| matches!(n, Notice::Written(..))));
 }
 
-/// Before what it has spoiled comes into a result.
+/// A plugin that writes to its input is found before the damage comes into a result.
 #[test]
 fn a_plugin_that_writes_to_its_input_is_found_while_something_is_dragged() {
     let folder = tempfile::tempdir().unwrap();

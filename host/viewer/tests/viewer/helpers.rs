@@ -1,4 +1,4 @@
-//! What tests of the viewer share.
+//! Helpers that all tests of the viewer share.
 
 #[path = "../../../session/tests/session/common/mod.rs"]
 pub mod common;
@@ -48,7 +48,7 @@ pub fn open(path: &Path, samples: u64) -> Command {
     Command::Open { path: path.to_owned(), sampling, recover: false }
 }
 
-/// Does a command, and waits for what it brings.
+/// Does a command, and waits for its results.
 pub fn done(state: &mut State, command: Command) {
     state.apply(command.clone()).unwrap_or_else(|e| panic!("{command:?}: {e}"));
     state.settle(LONG).unwrap();

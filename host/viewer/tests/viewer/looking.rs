@@ -1,4 +1,4 @@
-//! What looking takes besides the camera: the model cut open, and what is measured on it.
+//! Tools for looking besides the camera: the model cut open, and measures on it.
 
 use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec2, DVec3};
@@ -72,7 +72,7 @@ fn what_is_measured_goes_along_with_the_surface() {
     let before = distance(&measured[0], &measured[2]);
     assert!(!before.is_changed() && (0.4..0.8).contains(&(before.now / height)), "{before:?}");
 
-    // A bend brings its ends nearer to each other; what was measured at rest stays.
+    // A bend brings the bar's ends nearer to each other; the measure at rest stays.
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
     for (id, value) in [("operation", toml::Value::from("bend")), ("angle", 120.0.into())] {
         let change = Change::SetParam { id: id.into(), value: Some(value) };
@@ -82,7 +82,7 @@ fn what_is_measured_goes_along_with_the_surface() {
     let after = distance(&measured[0], &measured[2]);
     assert!(after.is_changed() && after.now < 0.98 * before.now, "{after:?} from {before:?}");
     assert_eq!(after.rest, before.rest);
-    // What is picked on the deformed surface is found there again.
+    // A point that is picked on the deformed surface is found there again.
     let mut found = 0;
     for (x, y) in (0..12).flat_map(|x| (0..8).map(move |y| (100.0 * f64::from(x), 100.0 * f64::from(y)))) {
         let Some(hit) = state.pick(DVec2::new(x, y)) else { continue };

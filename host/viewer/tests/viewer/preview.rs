@@ -1,4 +1,5 @@
-//! Parts of the model in full: they are what is written, and are shown while they are where the samples are.
+//! Parts of the model in full: their vertices are those of the written model, and are shown while the
+//! samples are at the positions that these vertices were carried by.
 
 use super::{LONG, done, model, open, pixel, plugins, state};
 use glam::{DVec3, Vec3};
@@ -211,7 +212,8 @@ fn only_what_is_seen_is_read() {
     for _ in 0..4 {
         done(&mut state, Command::Camera(CameraMove::Zoom { factor: 2.0, at: [at_x, at_y] }));
     }
-    // What was streamed stays until somebody asks for what is seen now; of that, nothing is read twice.
+    // The vertices that were streamed stay until somebody asks for the present view; of that, nothing is
+    // read twice.
     assert_eq!(*state.detail().unwrap().covered(), covered);
     done(&mut state, Command::Preview { what: Previewed::Seen });
     let near = state.detail().unwrap().figures();

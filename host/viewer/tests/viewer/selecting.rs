@@ -1,4 +1,4 @@
-//! What is selected, against what has to be.
+//! Selections, against the samples that have to be in them.
 
 use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec2, DVec3};
@@ -208,7 +208,8 @@ fn fields_have_a_number_for_each_sample() {
 #[test]
 fn a_region_of_what_is_selected_is_just_that() {
     let folder = tempfile::tempdir().unwrap();
-    // Two shells, as the sides of a thin wall: what is near in space need not be selected.
+    // The model is two shells, as the sides of a thin wall: samples that are near in space need not be
+    // selected.
     let centers = [DVec3::ZERO, DVec3::splat(0.02)];
     let mut state = super::state(super::plugins());
     done(&mut state, open(&spheres(folder.path(), &centers, 80), 2500));
@@ -237,7 +238,7 @@ fn a_region_of_what_is_selected_is_just_that() {
     let between = soft.iter().filter(|w| (0.05..0.95).contains(*w)).count();
     assert!(between > 20, "{between}");
     assert!(soft.iter().filter(|w| **w == 0.0).count() > soft.len() / 2);
-    // It comes back from the session's file as it was.
+    // The region comes back from the session's file as it was.
     let steps = state.document().unwrap().steps().clone();
     let path = folder.path().join("edit.toml");
     done(&mut state, Command::Save { path: Some(path.clone()) });
@@ -344,9 +345,9 @@ fn plates(folder: &Path, n: u32, apart: f64) -> PathBuf {
     path
 }
 
-/// A thin wall, of which a half of the front is selected, before and behind a bend: once it is refined, what
-/// came to it is in the selection, and in regions that were picked before, where it is among what is in them,
-/// and nowhere else.
+/// A thin wall, of which a half of the front is selected, before and behind a bend: once the wall is
+/// refined, the new samples are in the selection, and in regions that were picked before, where the samples
+/// around them are, and nowhere else.
 #[test]
 fn what_a_refinement_appends_belongs_to_what_is_around_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -397,13 +398,13 @@ fn what_a_refinement_appends_belongs_to_what_is_around_it() {
         assert_eq!(wrong(&state, &|i| field.values[i] > 0.5), 0, "of the region of step {step}");
     }
 
-    // What is selected now is as finely picked for a step that knows the former samples alone.
+    // The present selection is as finely picked for a step that knows the former samples alone.
     let selected = state.selection().clone();
     done(&mut state, Command::MakeRegion { step: 1, role: Role::Mask, falloff: 0.0, replaces: Some(0) });
     let field = state.field().unwrap().clone();
     let differs = |i: &usize| (field.values[*i] > 0.5) != selected.contains(*i as u32);
     let others = (0..field.values.len()).filter(differs).count();
-    // Right at the border, some are as those are that they belong to.
+    // Some samples right at the border have the selection of those to which they belong.
     assert!(others * 500 <= field.values.len(), "{others} of {}", field.values.len());
     // Undone and done again, it is the same.
     done(&mut state, Command::Undo);

@@ -10,7 +10,7 @@ use simod_viewer::camera::Standard;
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Command, Selection};
 
-/// The last step of a plugin: its place, which it is, and what it does.
+/// Last step of a plugin: its place in the list, its id, and its deformation.
 pub fn step(window: &Window, plugin: &str) -> Option<(usize, StepId, Deformation)> {
     let steps = window.steps();
     steps.iter().enumerate().rev().find_map(|(at, entry)| {
@@ -28,7 +28,7 @@ pub fn add(window: &Window, commands: &mut Commands, plugin: &str) {
     }
 }
 
-/// Works on the step of a plugin from now on. Its place.
+/// Chooses the last step of a plugin as that which is worked on, and returns its place.
 pub fn choose(window: &Window, commands: &mut Commands, plugin: &str) -> Option<usize> {
     let (at, ..) = step(window, plugin)?;
     if window.state().chosen() != Some(at) {
@@ -37,7 +37,7 @@ pub fn choose(window: &Window, commands: &mut Commands, plugin: &str) -> Option<
     Some(at)
 }
 
-/// A parameter of the plugin's step, if it was set.
+/// Value of a parameter of the plugin's step, if the parameter was set.
 pub fn number(window: &Window, plugin: &str, id: &str) -> Option<f64> {
     let (_, _, deformation) = step(window, plugin)?;
     let value = deformation.params.get(id)?;
@@ -76,7 +76,7 @@ pub fn has_region(window: &Window, plugin: &str, role: Role) -> bool {
     step(window, plugin).is_some_and(|(.., d)| d.regions.iter().any(|region| region.role == role))
 }
 
-/// Makes a region of what is selected, for the plugin's step.
+/// Makes a region of the selected samples, for the plugin's step.
 pub fn make_region(window: &Window, commands: &mut Commands, plugin: &str, role: Role) {
     if choose(window, commands, plugin).is_some() {
         commands.then_draw(move |window, commands| crate::regions::make(window, commands, role));
@@ -113,12 +113,12 @@ pub fn move_region(window: &Window, commands: &mut Commands, plugin: &str) {
     commands.change(at, Change::MoveRegion { region, motion }, false);
 }
 
-/// How many handles of the plugin's step are in the hand.
+/// Number of handles of the plugin's step that are in the hand.
 pub fn in_hand(window: &Window, plugin: &str) -> usize {
     step(window, plugin).map_or(0, |(_, id, _)| window.tools.handles(id).len())
 }
 
-/// Takes handles of the plugin's step into the hand: so many of those highest up.
+/// Takes handles of the plugin's step into the hand: the `count` highest ones.
 pub fn take_highest(window: &Window, commands: &mut Commands, plugin: &str, count: usize) {
     let Some(at) = choose(window, commands, plugin) else { return };
     let Some((_, id, _)) = step(window, plugin) else { return };
@@ -136,7 +136,7 @@ pub fn take_highest(window: &Window, commands: &mut Commands, plugin: &str, coun
     });
 }
 
-/// Moves what is in the hand upwards and aside.
+/// Moves the handles in the hand upwards and aside.
 pub fn move_in_hand(window: &Window, commands: &mut Commands, plugin: &str) {
     let Some((_, id, _)) = step(window, plugin) else { return };
     let translate = DVec3::new(0.12, 0.14, 0.0) * height(window);
@@ -179,7 +179,7 @@ pub fn turn_joint(window: &Window, commands: &mut Commands, plugin: &str, place:
     change(window, commands, plugin, Change::MoveHandle { id: joint.id.clone(), motion });
 }
 
-/// Paints a stroke from left to right over what is seen, at a part of the picture's height.
+/// Paints a stroke from left to right over the visible surface, at a part of the picture's height.
 pub fn paint(window: &Window, commands: &mut Commands, plugin: &str, part: f64) {
     let Some(step) = choose(window, commands, plugin) else { return };
     let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };

@@ -6,17 +6,17 @@ use simod_viewer::Camera;
 
 /// A lesson: exercises, one after the other.
 pub struct Lesson {
-    /// What the user reads of it in menus.
+    /// Title of the lesson in menus.
     pub title: &'static str,
     /// The lesson's subject.
     pub about: &'static str,
-    /// The model that it is done on.
+    /// Shape of the generated model on which the lesson is done.
     pub shape: Shape,
-    /// The name of its file.
+    /// Name of the model's file.
     pub file: &'static str,
     /// The exercises.
     pub parts: &'static [Exercise],
-    /// What is left to say.
+    /// Text that is shown once all exercises are done.
     pub ends: &'static str,
 }
 
@@ -24,8 +24,8 @@ pub struct Lesson {
 pub struct Exercise {
     /// The text that the user reads.
     pub text: &'static str,
-    /// Whether it is done, from where the camera was when it began.
+    /// Whether the exercise is done, given the camera at the time when the exercise began.
     pub done: fn(&Window, &Camera) -> bool,
-    /// Commands for it.
+    /// Commands that do the exercise.
     pub run: fn(&Window, &mut Commands),
 }

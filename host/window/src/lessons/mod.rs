@@ -1,6 +1,6 @@
-//! Lessons: edits of generated models, done by the user with the window beside. Each part says what to do,
-//! and goes on as soon as it is done, by whatever way; or does it itself, by the commands that the user would
-//! give.
+//! Lessons: edits of generated models, done by the user with the window beside. The text of each part says
+//! what to do. The lesson goes on as soon as the part is done, by whatever way; or does the part itself, by
+//! the commands that the user would give.
 
 mod doing;
 mod lesson;
@@ -16,7 +16,7 @@ use simod_viewer::{Command, Overlay, state};
 use std::path::PathBuf;
 pub use texts::ALL;
 
-/// Enough for smooth surfaces, and few enough that all answers at once.
+/// Vertices of a lesson's model: enough for smooth surfaces, and few enough that all answers come at once.
 const VERTICES: u64 = 60_000;
 const SAMPLES: u64 = 20_000;
 
@@ -25,7 +25,7 @@ pub fn lesson_of(running: &RunningLesson) -> &'static Lesson {
     &ALL[running.lesson]
 }
 
-/// What is to be done now; nothing once all is.
+/// Exercise that is to be done now; nothing once all are done.
 pub fn part_of(running: &RunningLesson) -> Option<&'static Exercise> {
     lesson_of(running).parts.get(running.part)
 }
@@ -40,7 +40,7 @@ pub fn is_open(running: &RunningLesson, window: &Window) -> bool {
 pub fn begin(commands: &mut Commands, lesson: usize) {
     match open(commands, lesson) {
         Ok(model) => {
-            // What the lesson before showed is not what this one is about.
+            // An overlay or a version that the lesson before showed has nothing to do with this one.
             commands.apply(Command::Show(Overlay::None));
             commands.then(move |window| {
                 (window.looks.side_by_side, window.looks.pinned_in_place) = (false, false);
@@ -55,7 +55,7 @@ pub fn begin(commands: &mut Commands, lesson: usize) {
 fn open(commands: &mut Commands, lesson: usize) -> Result<PathBuf> {
     let Lesson { shape, file, .. } = &ALL[lesson];
     let model = example::model(file, *shape, VERTICES)?;
-    // What was left of the lesson before is not what it begins with.
+    // An edit that was kept from the lesson before is not the beginning of this one.
     state::forget(&model)?;
     let opened = model.clone();
     let sampling = SamplingTable { samples: Some(SAMPLES), ..SamplingTable::default() };
@@ -63,12 +63,12 @@ fn open(commands: &mut Commands, lesson: usize) -> Result<PathBuf> {
     Ok(model)
 }
 
-/// Goes on where something is done. To be called before each picture.
+/// Goes on to the next exercise where the present one is done. To be called before each picture.
 pub fn update(window: &mut Window) {
     let Some(mut running) = window.lesson.take() else { return };
     if is_open(&running, window) {
         let began = *running.began.get_or_insert(*window.state().camera());
-        // What a hand is doing is done once it rests.
+        // A part counts as done only once the hand rests.
         let rests = !window.tools.gesture.is_dragging() && !window.state().is_drawing();
         if rests && part_of(&running).is_some_and(|part| (part.done)(window, &began)) {
             (running.part, running.began) = (running.part + 1, None);

@@ -1,4 +1,4 @@
-//! How much of the model is shown in full, and how up to date it is.
+//! The line that says which share of the model is shown in full, and how up to date that share is.
 
 use super::count;
 use crate::theme;
@@ -8,7 +8,7 @@ use simod_scene::SurfaceShare;
 use simod_viewer::detail::DetailCounts;
 use simod_viewer::{Command, Previewed};
 
-/// What there is, in words.
+/// Share of the vertices that is shown in full, and the part of it that is stale, in words.
 fn words(of: Previewed, DetailCounts { vertices, stride, stale, .. }: DetailCounts) -> String {
     let of = if of == Previewed::Selection { "the selection" } else { "what was seen" };
     let share = match stride {
@@ -22,7 +22,7 @@ fn words(of: Previewed, DetailCounts { vertices, stride, stale, .. }: DetailCoun
     }
 }
 
-/// In a line, from the right.
+/// Shows the line, from the right.
 pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((of, figures)) = window.state().detail().map(|detail| (detail.previewed(), detail.figures()))
     else {
@@ -38,10 +38,10 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         Some(part) => format!("{line}, {part}"),
         None => line,
     };
-    if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
+    if ui.button("Off").on_hover_text("Shows samples everywhere").clicked() {
         commands.apply(Command::Preview { what: Previewed::Nothing });
     }
-    if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
+    if ui.button("Update").on_hover_text("Streams what is seen, or selected, now").clicked() {
         commands.apply(Command::Preview { what: of });
     }
     ui.label(RichText::new("samples, at less detail").small().weak());
@@ -52,7 +52,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     ui.label(RichText::new("Full detail").strong());
 }
 
-/// How far the picture is, where it does not show all yet.
+/// Percentage of the picture that is drawn, in words, where the picture is not complete.
 pub fn drawing(SurfaceShare { drawn, of, complete }: SurfaceShare) -> Option<String> {
     let part = 100.0 * drawn as f64 / of.max(1) as f64;
     (!complete && drawn < of).then(|| format!("{:.0} % drawn", part.clamp(1.0, 99.0)))

@@ -5,7 +5,7 @@ use crate::turntable::{Film, film};
 use crate::window::{Commands, Window};
 use eframe::egui::{self, DragValue, Id, Modal, RichText, TextEdit};
 
-/// Shows it until it is closed.
+/// Shows the command until it is closed.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(Film { folder, frames, transparent, mut rate }) = window.film.clone() else { return };
     let mut close = false;

@@ -1,4 +1,4 @@
-//! The frames that panels over the picture, and windows over all, have.
+//! Frames of panels over the picture, and of windows over all.
 
 use eframe::egui::{self, Color32, Frame, Margin, Ui};
 
@@ -17,7 +17,7 @@ pub fn card(ui: &Ui) -> Frame {
         })
 }
 
-/// The frame of what has to be answered.
+/// Frame of windows that have to be answered.
 pub fn modal(ctx: &egui::Context) -> egui::Frame {
     egui::Frame::popup(&ctx.global_style()).inner_margin(egui::Margin::same(20)).corner_radius(8.0)
 }

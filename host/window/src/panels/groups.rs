@@ -12,7 +12,7 @@ use simod_session::edit::{EditCommand, Entry, StepId, group_at};
 use simod_viewer::Command;
 use std::ops::Range;
 
-/// The heading of the group that has these steps. Whether they are shown.
+/// Shows the heading of the group that has these steps. Returns whether the steps are shown.
 pub fn show(
     ui: &mut Ui,
     window: &Window,
@@ -93,7 +93,7 @@ fn rename(ui: &mut Ui, commands: &mut Commands, group: Range<usize>, name: &str,
     }
 }
 
-/// What a group can do besides.
+/// Menu of the group's further commands.
 fn more(
     ui: &mut Ui,
     window: &Window,
@@ -104,7 +104,7 @@ fn more(
 ) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let at = group.start;
-        // The group, or the step, before it and behind it.
+        // Places of the group, or the step, before this group and behind it.
         let above = at.checked_sub(1).map(|above| group_at(entries, above).map_or(above, |g| g.start));
         let below = (group.end < entries.len())
             .then(|| at + group_at(entries, group.end).map_or(1, |below| below.len()));
@@ -142,8 +142,8 @@ fn more(
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
 }
 
-/// The group can be dragged between others; a step that is dropped on it joins it, and another group comes
-/// before it or behind it.
+/// Moves groups and steps by dragging: the group can be dragged between others; a step that is dropped on
+/// the group joins it, and another group comes before or behind this one.
 fn reorder(
     ui: &Ui,
     window: &Window,

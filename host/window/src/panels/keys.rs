@@ -7,7 +7,7 @@ use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, 
 use simod_viewer::Navigation;
 use simod_viewer::navigation::{Button, Drag};
 
-/// What the pointer does, whatever the preset.
+/// Effects of the pointer that are the same in all presets.
 const POINTER: [(&str, &str); 8] = [
     ("Left drag beside a handle, or with Alt", "look around"),
     ("Shift + left drag, right drag", "move the picture"),
@@ -47,7 +47,7 @@ fn camera_drags(navigation: &Navigation) -> impl Iterator<Item = (String, &'stat
     })
 }
 
-/// Shows them until they are closed: by its button, Escape, the key that opened it, or a click beside it.
+/// Shows the sheet until it is closed: by its button, Escape, the key that opened it, or a click beside it.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     if !window.shows_keys {
         return;

@@ -13,10 +13,10 @@ use simod_viewer::overlay::{ScalarField, class_color, class_name, scale_color};
 
 /// The scale's size.
 const SIZE: [f32; 2] = [320.0, 12.0];
-/// Height of the numbers below it.
+/// Height of the numbers below the scale.
 const NUMBERS: f32 = 16.0;
 
-/// What the numbers of an overlay are.
+/// Unit of an overlay's numbers.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum ScaleUnit {
     /// Numbers without a unit.
@@ -27,7 +27,7 @@ pub enum ScaleUnit {
     Length,
 }
 
-/// What the overlay that is shown is called, and its unit.
+/// Title and unit of the overlay that is shown.
 fn title(window: &Window) -> Option<(String, ScaleUnit)> {
     let state = window.state();
     let (title, unit) = match state.overlay() {
@@ -54,15 +54,15 @@ impl ScaleUnit {
     }
 }
 
-/// How large the ends of a scale of lengths are beside the model.
+/// Ends of a scale of lengths as fractions of the model's diagonal, in words.
 fn beside_diagonal(unit: ScaleUnit, range: [f32; 2], diagonal: Option<f64>) -> Option<String> {
     let diagonal = diagonal.filter(|d| unit == ScaleUnit::Length && *d > 0.0)?;
     let [from, to] = range.map(|end| f64::from(end) / diagonal);
     Some(format!("From {from:.1e} to {to:.1e} of the model's diagonal"))
 }
 
-/// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of
-/// regions, and how much is shown in full; nothing where all is of one colour.
+/// Shows the legend below the picture, so that nothing of the model is covered: the scale of an overlay, or
+/// the colours of regions, and the share that is shown in full; nothing where all is of one colour.
 pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands, legend: Option<Legend>) {
     let has_detail = window.state().detail().is_some();
     if legend.is_none() && !has_detail {
@@ -90,18 +90,18 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands, legend: Optio
     });
 }
 
-/// What the colours of a picture mean.
+/// Meaning of the colours of a picture.
 pub enum Legend {
-    /// Numbers: what they are of, their unit, and the ends of the scale.
+    /// Numbers: their title, their unit, and the ends of the scale.
     Scale(String, ScaleUnit, [f32; 2]),
     /// Classes of points.
     Classes(String, Vec<u8>),
-    /// What samples are to the chosen step.
+    /// Roles that samples have in the chosen step, each with its colour.
     Roles(Vec<([u8; 3], &'static str)>),
 }
 
 impl Legend {
-    /// What the picture that is shown now has.
+    /// Legend of the picture that is shown now; nothing where all is of one colour.
     pub fn find(window: &Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
         let field = window.state().field()?;
@@ -176,7 +176,7 @@ fn scale(ui: &mut Ui, (title, unit): (&str, ScaleUnit), [from, to]: [f32; 2], di
     }
 }
 
-/// What samples are to the chosen step, as far as they are shown so.
+/// Roles that samples have in the chosen step, each with its colour, as far as these colours are shown.
 fn roles(window: &Window) -> Option<Vec<([u8; 3], &'static str)>> {
     let (_, _, deformation, _) = window.chosen().filter(|_| window.looks.regions)?;
     let is_there = |role: &Role| deformation.regions.iter().any(|region| region.role == *role);

@@ -1,4 +1,4 @@
-//! The lesson that is being done: what to do next.
+//! The panel of the lesson that is being done, with its next exercise.
 
 use super::card;
 use super::clip;
@@ -9,7 +9,7 @@ use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sen
 
 const MARGIN: f32 = 12.0;
 const WIDTH: f32 = 300.0;
-/// How much of the picture's height it takes at most.
+/// Greatest height of the panel, in points.
 pub const HEIGHT: f32 = 170.0;
 
 enum LessonAnswer {
@@ -18,7 +18,7 @@ enum LessonAnswer {
     End,
 }
 
-/// At the lower left, while one is done.
+/// Shows the panel at the lower left, while a lesson is being done.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let Some(running) = &window.lesson else { return };
     let below = if window.state().clipped().is_some() { clip::HEIGHT } else { 0.0 };

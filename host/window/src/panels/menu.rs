@@ -43,7 +43,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     });
 }
 
-/// The name of what is open, in the middle.
+/// Name of the open session or model, in the middle.
 fn title(ui: &mut Ui, window: &Window) {
     let Some(editor) = window.state().editor() else { return };
     let path = editor.path().or(editor.model()).or(window.opened());
@@ -142,7 +142,7 @@ fn navigation(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// All plugins, to be added as a step.
+/// Entries for all plugins, each of which adds a step.
 pub fn add_step(ui: &mut Ui, window: &Window, commands: &mut Commands, at: Option<usize>) {
     let plugins = window.state().plugins().plugins();
     let enabled = window.state().scene().is_some();
@@ -158,7 +158,7 @@ pub fn add_step(ui: &mut Ui, window: &Window, commands: &mut Commands, at: Optio
     }
 }
 
-/// What there is to know of a plugin: what it does and is for, before who found it.
+/// Description of a plugin, line by line: summary, purpose, citation, author.
 pub fn about(plugin: &Plugin) -> String {
     let lines = [plugin.summary(), purpose(plugin.id()), plugin.citation(), plugin.author()];
     lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")

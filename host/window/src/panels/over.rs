@@ -1,4 +1,4 @@
-//! Over the picture: options of the tool, what is being done, and what colours mean.
+//! Panels over the picture: options of the tool, what is being done, and the meaning of colours.
 
 use super::{card, clip, lesson, pinned, progress};
 use crate::tools::hand::Measuring;
@@ -12,7 +12,7 @@ use simod_viewer::selection::Combine;
 
 const MARGIN: f32 = 12.0;
 
-/// Shows what is over the picture.
+/// Shows the panels over the picture.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     if window.tools.has_options() {
         options(ui, rect, window, commands);
@@ -28,7 +28,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
-            // In a narrow picture, in several lines.
+            // The options take several lines in a narrow picture.
             ui.horizontal_wrapped(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window, commands),
                 Tool::Measure => measuring(ui, window, commands),
@@ -40,12 +40,13 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     });
 }
 
-/// How many handles that a plugin placed are in the hand, and how far others go along.
+/// Options of a move of handles that a plugin placed: the number of those in the hand, and the distance to
+/// which others go along.
 fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();
     let text = if count == 1 { "1 handle".to_owned() } else { format!("{count} handles") };
-    ui.label(text).on_hover_text("Shift and a click takes another one besides; so does a box (B)");
+    ui.label(text).on_hover_text("Shift and a click take one more; so does a box (B)");
     ui.separator();
     ui.spacing_mut().slider_width = 110.0;
     ui.label("Falloff");
@@ -60,7 +61,7 @@ fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// How many joints a drag places.
+/// Options of the tool for joints: joints or pins, and the number of joints that a drag places.
 fn chaining(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     if !is_of_use(Tool::Joint, window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
@@ -99,12 +100,12 @@ fn chaining(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// What is measured, and what it comes to.
+/// Options of the tool that measures, and the result.
 fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     for (measuring, name, hint) in [
-        (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
-        (Measuring::Angle, "Angle", "At the second of three points"),
-        (Measuring::Path, "Path", "Along as many points as are clicked"),
+        (Measuring::Distance, "Distance", "Distance between two points; a third click begins anew"),
+        (Measuring::Angle, "Angle", "Angle at the second of three points"),
+        (Measuring::Path, "Path", "Length of the path along all points that are clicked"),
     ] {
         let button = Button::selectable(window.tools.measuring == measuring, name);
         let response = ui.add(button).on_hover_text(hint);
@@ -120,16 +121,16 @@ fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     };
     if !window.state().measured().is_empty() {
         ui.separator();
-        if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
+        if ui.button("Remove Last").on_hover_text("Removes the last point (Backspace)").clicked() {
             measure::remove_last(window, commands);
         }
-        if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
+        if ui.button("Clear").on_hover_text("Removes all points (Escape)").clicked() {
             measure::clear(window, commands);
         }
     }
 }
 
-/// Whether a box chooses samples or handles, where the step has handles.
+/// Choice between samples and handles for a box, where the step has handles.
 fn what_is_boxed(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let has_handles = window.chosen().is_some_and(|(step, ..)| !window.state().handles(step).is_empty());
     if window.tools.tool != Tool::Box || !has_handles {
@@ -164,9 +165,9 @@ fn selecting(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     what_is_boxed(ui, window, commands);
     let tools = &window.tools;
     for (combine, name, hint) in [
-        (Combine::Replace, "Replace", "What is pointed at is the selection"),
-        (Combine::Add, "Add", "What is pointed at joins the selection (Shift)"),
-        (Combine::Subtract, "Subtract", "What is pointed at leaves the selection (Ctrl)"),
+        (Combine::Replace, "Replace", "Selects what is pointed at instead"),
+        (Combine::Add, "Add", "Adds what is pointed at to the selection (Shift)"),
+        (Combine::Subtract, "Subtract", "Takes what is pointed at out of the selection (Ctrl)"),
     ] {
         if ui.add(Button::selectable(tools.combine == combine, name)).on_hover_text(hint).clicked() {
             commands.then(move |window| window.tools.combine = combine);
@@ -176,7 +177,7 @@ fn selecting(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     if tools.tool != Tool::Connected {
         for (visible, name, hint) in [
             (true, "Visible", "Only what is seen is selected"),
-            (false, "Through", "What lies behind is selected, too"),
+            (false, "Through", "Selects what lies behind, too"),
         ] {
             if ui.add(Button::selectable(tools.visible == visible, name)).on_hover_text(hint).clicked() {
                 commands.then(move |window| window.tools.visible = visible);
@@ -218,7 +219,7 @@ fn stroke(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let mut radius = tools.stroke_radius * scale;
     ui.label("Radius");
     let slider = Slider::new(&mut radius, 0.002 * scale..=0.5 * scale).logarithmic(true);
-    let response = ui.add(slider).on_hover_text("In the model's unit; [ and ] change it");
+    let response = ui.add(slider).on_hover_text("Radius in the model's unit; [ and ] change it");
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Radius of the brush"));
     if response.changed() {
         commands.then(move |window| window.tools.stroke_radius = radius / scale);

@@ -26,7 +26,7 @@ impl PaletteEntry {
         }
     }
 
-    /// What it is found by: a plugin by its id, too, as documents call it.
+    /// Text by which the entry is found: its name, and of a plugin also the id, by which documents call it.
     fn sought(&self) -> String {
         match self {
             Self::Add(plugin) => format!("{} {}", self.name(), plugin.id()),
@@ -43,8 +43,8 @@ impl PaletteEntry {
     }
 }
 
-/// How well a name fits what was typed, less is better: its letters in their order, near each other and at
-/// beginnings of words.
+/// Cost at which a name fits the typed text, where less is better: the typed letters occur in the name in
+/// their order, best at beginnings of words, else near each other; nothing where they do not occur.
 fn fit(name: &str, typed: &str) -> Option<usize> {
     let name: Vec<char> = name.to_lowercase().chars().collect();
     let (mut at, mut cost) = (0, 0);
@@ -70,7 +70,7 @@ fn found(window: &Window, typed: &str) -> Vec<PaletteEntry> {
     found.into_iter().map(|(_, entry)| entry).take(MOST).collect()
 }
 
-/// Shows it while it is open.
+/// Shows the palette while it is open.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut palette) = window.palette.clone() else { return };
     let area = Modal::default_area(Id::unique("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 90.0));

@@ -23,7 +23,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     parts::heading(ui, plugin.name(), |ui| {
         let can_reset = !deformation.params.is_empty();
         let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
-        if reset.on_hover_text("All parameters get their defaults").clicked() {
+        if reset.on_hover_text("Resets all parameters to their defaults").clicked() {
             for id in deformation.params.keys() {
                 commands.change(step, Change::SetParam { id: id.clone(), value: None }, false);
             }
@@ -60,11 +60,11 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// How much of the step is done.
+/// Control of the step's amount: 0 leaves all at rest, 1 is the whole deformation.
 fn amount(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let desc = ParamDesc::float("step-amount", "Amount", 1.0)
-        .hint("How much of the step is done: 0 leaves all at rest, 1 is the whole deformation")
+        .hint("Amount of the step that is done: 0 leaves all at rest, 1 is the whole deformation")
         .hard(0.0, 1.0)
         .soft(0.0, 1.0);
     let value = Some(toml::Value::Float(deformation.amount)).filter(|_| deformation.amount != 1.0);

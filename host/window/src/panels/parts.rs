@@ -18,9 +18,9 @@ pub fn part(ui: &mut Ui) {
     ui.add_space(4.0);
 }
 
-/// A number that changes once the hand rests, as what comes of it takes its time: while it is dragged it is
-/// the panel's own. Gives the control, and the number once it has changed; `name` is read by those who do not
-/// see it.
+/// Field of a number that changes once the hand rests, as the result takes its time: while the number is
+/// dragged it is the panel's own. Returns the control, and the number once it has changed; `name` is read
+/// by those who do not see the control.
 pub fn held(
     ui: &mut Ui,
     id: Id,

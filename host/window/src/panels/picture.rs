@@ -1,4 +1,4 @@
-//! How large a picture of the model is, and where it goes.
+//! The question before a picture is saved: its size, its background, its file.
 
 use super::frames::modal;
 use super::render::{self, RenderAnswer};
@@ -8,7 +8,7 @@ use crate::window::{Commands, Window};
 use eframe::egui::{self, Id, Modal, RichText};
 use std::path::Path;
 
-/// Shows it while it is asked.
+/// Shows the question while it is asked.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut picture) = window.picture.clone() else { return };
     let shown = shown_size(window);

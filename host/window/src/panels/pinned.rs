@@ -1,4 +1,4 @@
-//! The pinned version: what it is, and what can be done with it.
+//! The panel of the pinned version: its name, and buttons for what can be done with it.
 
 use super::card;
 use crate::actions::{ALL, Menu, NamedAction};
@@ -10,7 +10,7 @@ const MARGIN: f32 = 12.0;
 /// Longest name, in characters.
 const LONGEST: usize = 36;
 
-/// At the lower right, while something is pinned.
+/// Shows the panel at the lower right, while a version is pinned.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let holds = window.state().pinned().is_some_and(|name| shown(ui, rect, window, commands, name));
     if holds != window.holds_pinned {
@@ -19,7 +19,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// Whether its button is held.
+/// Shows the panel. Returns whether the button is held that shows the pinned version in the picture.
 fn shown(ui: &Ui, rect: Rect, window: &Window, commands: &mut Commands, name: &str) -> bool {
     let area = Area::new(Id::unique("pinned")).order(Order::Middle).movable(false);
     let area = area.pivot(Align2::RIGHT_BOTTOM).fixed_pos(rect.right_bottom() - vec2(MARGIN, MARGIN));
@@ -31,7 +31,7 @@ fn content(ui: &mut Ui, window: &Window, commands: &mut Commands, name: &str) ->
     if window.state().scene_of(ComparedVersion::Pinned).is_none() {
         ui.spinner();
     }
-    // Side by side, it is written over its picture.
+    // Side by side, the name is written over the version's picture.
     if !window.looks.side_by_side {
         let mut short: String = name.chars().take(LONGEST).collect();
         if short.len() < name.len() {

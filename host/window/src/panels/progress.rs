@@ -1,4 +1,4 @@
-//! The progress of what takes its time: stage, rate, and a button that stops it.
+//! The progress of jobs that take their time: stage, rate, and a button that stops the job.
 
 use super::{card, clip, duration, lesson};
 use crate::window::{Commands, Window};
@@ -7,13 +7,13 @@ use simod_model::size::human_size;
 use simod_viewer::Command;
 use simod_viewer::engine::{Activity, Job};
 
-/// What takes longer is shown, in seconds.
+/// Seconds after which a job's progress is shown.
 const PATIENCE: f64 = 0.4;
 const SIZE: [f32; 2] = [420.0, 92.0];
 
-/// Each job that is running and takes its time, above each other at the lower edge.
+/// Shows each job that is running and takes its time, one above the other at the lower edge.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
-    // Above what lies in the lower corners.
+    // The first job stands above what lies in the lower corners.
     let below = window.state().clipped().is_some() || window.state().pinned().is_some();
     let below =
         if below { clip::HEIGHT } else { 0.0 } + if window.lesson.is_some() { lesson::HEIGHT } else { 0.0 };
@@ -26,7 +26,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
         (Job::Compare, "Comparing"),
     ] {
         let Some(activity) = window.state().activity(job) else { continue };
-        // The job may be over before anybody could read of it.
+        // A quick job may be over before anybody could read of it.
         let left = PATIENCE - activity.seconds;
         if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview | Job::Compare) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));
@@ -48,14 +48,15 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// How long the stage goes on, if it goes on as it did; nothing before that can be told.
+/// Time left of the stage, in words, if the stage goes on at the rate so far; nothing in the first second
+/// and below 2 %, when the rate is not known yet.
 fn left(activity: &Activity) -> Option<String> {
     let fraction = f64::from(activity.fraction.filter(|f| *f > 0.02)?);
     let seconds = activity.seconds * (1.0 - fraction) / fraction;
     (activity.seconds > 1.0).then(|| format!("about {} left", duration(seconds)))
 }
 
-/// Something that goes on, above the others, with more to tell of it. Whether it shall be stopped.
+/// Shows a running job above the others, with its figures. Returns whether the user stops it.
 fn shown(
     ui: &mut Ui,
     rect: Rect,

@@ -8,7 +8,7 @@ use eframe::egui::text::{CCursor, CCursorRange};
 use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Button, Color32, Id, Key, Modal, Modifiers, RichText, ScrollArea, TextEdit, Ui};
 
-/// What is wrong with what was typed, or that it names a file which is replaced.
+/// Message about what is wrong with the typed path, or a warning that it names a file which is replaced.
 fn warning(ui: &mut Ui, typed: &Prompt) {
     if let Some(wrong) = &typed.wrong {
         ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
@@ -68,10 +68,10 @@ pub fn show(ctx: &egui::Context, commands: &mut Commands, prompt: &mut Option<Pr
     }
 }
 
-/// The text; whether it is what the user means.
+/// Shows the field of the text. Returns whether the user confirms the text.
 fn field(ui: &mut Ui, prompt: &mut Prompt) -> bool {
     let id = Id::unique("path that is typed");
-    // Tab goes on with the path, not to the next control.
+    // Tab completes the path, and does not leave the field for the next control.
     let field = TextEdit::singleline(&mut prompt.text).id(id).lock_focus(true);
     let field = field.hint_text("Path of the file").desired_width(f32::INFINITY);
     let field = ui.add(field.margin(egui::Margin::symmetric(8, 6)));
@@ -93,7 +93,7 @@ fn field(ui: &mut Ui, prompt: &mut Prompt) -> bool {
     enter
 }
 
-/// What the path may go on with.
+/// List of names by which the typed path can be completed.
 fn offered(ui: &mut Ui, prompt: &mut Prompt, names: &[String]) {
     if names.is_empty() {
         return;

@@ -26,13 +26,14 @@ pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
         }
     });
     if modal.inner || modal.should_close() {
-        // What comes of the answer may ask another one.
+        // The commands of an answer may ask another question, so this one goes first.
         commands.then(|window| window.question = None);
         commands.append(answer);
     }
 }
 
-/// Whether there is an answer: the edit is saved, discarded, or stays open.
+/// Asks whether to save the edit. Returns whether there is an answer: the edit is saved, discarded, or
+/// stays open.
 fn unsaved(ui: &mut Ui, answer: &mut Commands, leaving: &Leaving) -> bool {
     ui.heading("Save the edit?");
     ui.add_space(6.0);
@@ -57,7 +58,8 @@ fn unsaved(ui: &mut Ui, answer: &mut Commands, leaving: &Leaving) -> bool {
     answered
 }
 
-/// Whether there is an answer: the edit that was kept is opened, discarded, or left alone.
+/// Asks whether to recover an edit. Returns whether there is an answer: the edit that was kept is opened,
+/// discarded, or left alone.
 fn recover(ui: &mut Ui, answer: &mut Commands, kept: &KeptEdit) -> bool {
     ui.heading("Recover the edit?");
     ui.add_space(6.0);
@@ -73,7 +75,7 @@ fn recover(ui: &mut Ui, answer: &mut Commands, kept: &KeptEdit) -> bool {
             answered = true;
         }
         let discard =
-            ui.button("Discard It").on_hover_text("Open it as it was saved; what was kept goes away");
+            ui.button("Discard It").on_hover_text("Opens it as it was saved; the kept edit is lost");
         if discard.clicked() {
             let kept = kept.clone();
             answer.then(move |window| window.open_without(&kept));
@@ -86,7 +88,8 @@ fn recover(ui: &mut Ui, answer: &mut Commands, kept: &KeptEdit) -> bool {
     answered
 }
 
-/// Whether there is an answer: the model is looked for, or not.
+/// Asks for a model that is not at its place. Returns whether there is an answer: the model is looked for,
+/// or not.
 fn moved(ui: &mut Ui, answer: &mut Commands, path: &Path, model: &Path, is_open: bool) -> bool {
     ui.heading("Where is the model?");
     ui.add_space(6.0);

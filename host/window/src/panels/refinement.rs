@@ -1,4 +1,4 @@
-//! How fine the chosen refinement is.
+//! Controls for the fineness of the chosen refinement.
 
 use super::{diagonal, number, parts};
 use crate::window::{Commands, Window};
@@ -7,13 +7,13 @@ use simod_core::refinement::Finer;
 use simod_session::edit::Change;
 use simod_session::step::{Action, Refine};
 
-/// The ways to say how fine, as the user reads them.
+/// The ways to say how fine a refinement is, as the user reads them.
 const FACTOR: &str = "Times as many samples";
 const ERROR: &str = "Down to an error";
-const SAMPLES: &str = "So many samples more";
+const SAMPLES: &str = "Number of samples more";
 const NEEDED: &str = "Where the deformation needs it";
 
-/// What a refinement begins with that was told otherwise before.
+/// First values of a refinement whose fineness was given in another way before.
 const FIRST_FACTOR: f64 = 4.0;
 const FIRST_SAMPLES: u64 = 10_000;
 
@@ -43,17 +43,17 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     ui.label(RichText::new(explanation(refine.finer, diagonal(window))).weak().small());
 }
 
-/// What the number means; of an error also how large it is in the model's unit.
+/// Meaning of the fineness' number; of an error also its length in the model's unit.
 fn explanation(finer: Finer, diagonal: Option<f64>) -> String {
     let in_unit = |error: f64| {
         diagonal.map_or(String::new(), |d| format!(" Here {} in the model's unit.", number(error * d)))
     };
     match finer {
-        Finer::Factor(_) => "Each sample of the part becomes about so many.".to_owned(),
+        Finer::Factor(_) => "Each sample of the part becomes about this many.".to_owned(),
         Finer::Error(error) => {
             format!("A fraction of the diagonal of the model's box; less is finer.{}", in_unit(error))
         }
-        Finer::Samples(_) => "They are put where the error is largest.".to_owned(),
+        Finer::Samples(_) => "New samples are put where the error is largest.".to_owned(),
         Finer::Auto { error, .. } => format!(
             "The error that may be left, as a fraction of the diagonal of the model's box.{}",
             in_unit(error)
@@ -61,7 +61,7 @@ fn explanation(finer: Finer, diagonal: Option<f64>) -> String {
     }
 }
 
-/// A choice of how a refinement is told; another one comes with the number that it begins with.
+/// Choice of the way in which the fineness is given; another way comes with the number that it begins with.
 fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
     let finer = refine.finer;
     let error = match finer {
@@ -73,7 +73,7 @@ fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
     let mut chosen = None;
     let combo = ComboBox::from_id_salt("finer").width(190.0).selected_text(name(finer)).show_ui(ui, |ui| {
         for way in ways {
-            // Without shapes there is only one way to know where.
+            // A refinement without shapes can only be placed by the deformation's need.
             let can = !refine.shapes.shapes.is_empty() || name(way) == NEEDED;
             let is_it = name(way) == name(finer);
             if ui.add_enabled(can, Button::selectable(is_it, name(way))).clicked() && !is_it {
@@ -84,11 +84,11 @@ fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
     combo
         .response
         .ctx
-        .accesskit_node_builder(combo.response.id, |node| node.set_label("How the refinement is told"));
+        .accesskit_node_builder(combo.response.id, |node| node.set_label("Measure of the refinement"));
     chosen
 }
 
-/// The number; gives another one.
+/// Field of the fineness' number; returns another fineness if the user changes it.
 fn amount(ui: &mut Ui, finer: Finer) -> Option<Finer> {
     let id = ui.scope_id().with("amount");
     match finer {
@@ -111,12 +111,12 @@ fn amount(ui: &mut Ui, finer: Finer) -> Option<Finer> {
     }
 }
 
-/// What a session says that the control would not is left as it is.
+/// Keeps a value of the session that is outside of the control's range as it is.
 fn kept(drag: DragValue<'_>) -> DragValue<'_> {
     drag.clamp_existing_to_range(false)
 }
 
-/// An error, as a fraction of the diagonal; gives another one.
+/// Field of an error, as a fraction of the diagonal; returns another one if the user changes it.
 fn error(ui: &mut Ui, id: Id, value: f64) -> Option<f64> {
     let drag = parts::held(ui, id, "Error of the refinement", value, |x| {
         let drag = kept(DragValue::new(x)).range(1e-9..=1.0).speed(0.01 * value.max(1e-6));

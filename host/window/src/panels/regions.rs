@@ -97,7 +97,7 @@ fn choose(window: &Window, commands: &mut Commands, i: usize, role: Role) {
     }
 }
 
-/// What it is made of.
+/// Shapes of a region, in words.
 fn what(region: &Region) -> String {
     let name = |shape: &RegionShape| match shape {
         RegionShape::HalfSpace { .. } => "half-space".to_owned(),
@@ -130,7 +130,7 @@ fn falloff(
         regions[i].shapes.falloff = falloff;
         commands.change(step, Change::SetRegions(regions), false);
     }
-    response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
+    response.on_hover_text("Distance beyond its border over which the region fades out, in the model's unit");
 }
 
 /// Entries of a menu for the roles that a region can have; the one that was chosen.
@@ -196,7 +196,7 @@ fn more(
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
 }
 
-/// What can be made of what is selected.
+/// Buttons for what can be made of the selected samples.
 fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let selected = window.state().selection().count();
     if selected == 0 {
@@ -214,7 +214,8 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
                 make::make(window, commands, role);
             }
         }
-        if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
+        if ui.button("Refine").on_hover_text("Adds samples in the selection, as a step of its own").clicked()
+        {
             make::refine(commands);
         }
     });
@@ -222,14 +223,15 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         return;
     }
     ui.horizontal(|ui| {
-        let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
+        let hint =
+            "Makes a handle of the selection, and fixes what is farther from it than the band that bends";
         if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
             make::make_handle(window, commands);
         }
         ui.spacing_mut().slider_width = 60.0;
         let mut band = window.tools.band;
         let slider = Slider::new(&mut band, 0.01..=0.5).logarithmic(true).max_decimals(2);
-        let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
+        let hint = "Width of the band, as a part of the model\u{2019}s diagonal";
         let response = ui.add(slider).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
         if response.changed() {
@@ -238,7 +240,7 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     });
 }
 
-/// Numbers of a motion, of a model of so large a diagonal; one answer for each number.
+/// Fields of a motion's numbers, for a model whose diagonal is `size`; one response for each number.
 fn motion_rows(ui: &mut Ui, to: &mut Motion, size: f64) -> Vec<egui::Response> {
     let mut rows: Vec<egui::Response> = Vec::new();
     egui::Grid::new("motion").num_columns(2).spacing([12.0, 5.0]).show(ui, |ui| {
@@ -263,7 +265,7 @@ fn motion_rows(ui: &mut Ui, to: &mut Motion, size: f64) -> Vec<egui::Response> {
     rows
 }
 
-/// Numbers of what the gizmo moves.
+/// Fields of the motion of what the gizmo moves.
 fn handle(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(target) = window.tools.target.clone() else { return };
     let (name, motion) = match &target {
@@ -341,7 +343,7 @@ fn joints(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, de
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
                     let gone = joints.remove(i);
-                    // Joints that hung on the one that is gone hang on what it hung on.
+                    // Joints that hung on the removed joint hang on its parent from now on.
                     for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
                         other.parent.clone_from(&gone.parent);
                     }
@@ -353,7 +355,7 @@ fn joints(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, de
     }
 }
 
-/// Joints of one side on the other one, too.
+/// Buttons that mirror the joints of one side to the other one.
 fn mirror(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let bounds = scene.sampled.bounds;
@@ -377,7 +379,8 @@ fn begin_naming(commands: &mut Commands, id: &str) {
     commands.then(move |window| window.tools.naming = naming);
 }
 
-/// A joint's name while it is typed, until Enter or Escape, or a click elsewhere. Whether it is.
+/// Field of a joint's name while the name is typed, until Enter or Escape, or a click elsewhere. Returns
+/// whether it is typed.
 fn name(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, id: &str) -> bool {
     let naming = window.tools.naming.clone().filter(|(of, _)| of == id);
     let Some((of, mut text)) = naming else { return false };

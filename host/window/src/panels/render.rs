@@ -1,5 +1,4 @@
-//! What pictures that are saved have in common: how large they are, whether their background is seen through,
-//! and where they go.
+//! Controls that all dialogs for saved pictures share: size, background, place of the file or folder.
 
 use crate::screenshot::{LARGEST, ScreenshotFormat};
 use crate::theme;
@@ -30,7 +29,7 @@ pub fn fields(ui: &mut Ui, format: &mut ScreenshotFormat, shown: [u32; 2]) {
     ui.checkbox(&mut format.transparent, "Transparent background");
 }
 
-/// A field for a side of the picture, in pixels, under a name for those who do not see it.
+/// Field for a side of the picture, in pixels, with a name for those who do not see the field.
 fn side(ui: &mut Ui, pixels: &mut u32, name: &str) {
     let field = ui.add(DragValue::new(pixels).range(16..=LARGEST).speed(8.0));
     field.ctx.accesskit_node_builder(field.id, |node| node.set_label(name));
@@ -46,7 +45,7 @@ pub enum RenderAnswer {
     Cancel,
 }
 
-/// A field for where it goes, with a button to choose that.
+/// Field for the path of the file or folder, with a button to choose it.
 pub fn place(
     ui: &mut Ui,
     [label, hint, name]: [&str; 3],
@@ -63,7 +62,7 @@ pub fn place(
     });
 }
 
-/// The buttons below, of which the first one `does` it, where it is known to where.
+/// The buttons below, of which the first one `does` the job, enabled where the path is known.
 pub fn buttons(ui: &mut Ui, does: &str, path: &str, answer: &mut Option<RenderAnswer>) {
     ui.add_space(10.0);
     ui.horizontal(|ui| {

@@ -6,7 +6,7 @@ use crate::window::{Commands, Window, WriteReport};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
 use simod_model::size::human_size;
 
-/// Shows it until it is closed.
+/// Shows the report until it is closed.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(WriteReport { output, report, seconds }) = &window.report else { return };
     let mut done = false;

@@ -1,5 +1,5 @@
-//! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed,
-//! and that they can be dragged.
+//! Parts that all rows of the list of steps share, be the rows of steps or of groups: a box, a name that is
+//! typed, and the dragging of rows.
 
 use crate::window::{Commands, Renaming, Window};
 use eframe::egui::{
@@ -8,7 +8,7 @@ use eframe::egui::{
 use simod_session::edit::{self, StepId, group_at};
 use simod_viewer::Command;
 
-/// What is dragged to another place.
+/// Row that is dragged to another place.
 pub enum Dragged {
     /// A step.
     Step(StepId),
@@ -17,13 +17,13 @@ pub enum Dragged {
 }
 
 impl Dragged {
-    /// Where it, or its first step, is now.
+    /// Present place of the step, or of the group's first step.
     pub fn place(&self, window: &Window) -> Option<usize> {
         let (Self::Step(id) | Self::Group(id)) = self;
         window.steps().iter().position(|entry| entry.id == *id)
     }
 
-    /// Puts it into the gap before the step that is at a place now.
+    /// Puts the dragged row into the gap before the step that is at place `gap` now.
     pub fn put(&self, window: &Window, commands: &mut Commands, gap: usize) {
         let Some(from) = self.place(window) else { return };
         let steps = window.steps();
@@ -34,7 +34,7 @@ impl Dragged {
         if (from..=from + length).contains(&gap) {
             return;
         }
-        // The row's place once it has left the one where it is.
+        // The gap's place is counted after the row has left its own.
         let to = if gap > from { gap - length } else { gap };
         commands.apply(Command::Edit(match self {
             Self::Step(_) => edit::EditCommand::Move { from, to },
@@ -43,7 +43,7 @@ impl Dragged {
     }
 }
 
-/// The name of what is dragged goes with the pointer.
+/// Draws the name of the dragged row beside the pointer.
 pub fn carried(ui: &Ui, row: &Response, name: &str, pointer: Pos2) {
     ui.set_cursor_icon(CursorIcon::Grabbing);
     let layer = LayerId::new(Order::Tooltip, row.id);
@@ -51,7 +51,7 @@ pub fn carried(ui: &Ui, row: &Response, name: &str, pointer: Pos2) {
     ui.layer_painter(layer).text(pointer + vec2(14.0, 2.0), Align2::LEFT_TOP, name, font, color);
 }
 
-/// A box that says whether steps are done: what it becomes, if it was clicked.
+/// Box that says whether steps are done: returns its new state, if the box was clicked.
 pub fn switch(ui: &mut Ui, name: &str, is_on: bool, hint: &str) -> Option<bool> {
     let mut enabled = is_on;
     let check = ui.checkbox(&mut enabled, "");
@@ -60,7 +60,8 @@ pub fn switch(ui: &mut Ui, name: &str, is_on: bool, hint: &str) -> Option<bool> 
     check.on_hover_text(hint).changed().then_some(enabled)
 }
 
-/// A name that is typed: whether it is wanted, once Enter, Escape or a click elsewhere ends it.
+/// Field of a name that is typed: returns whether the name is wanted, once Enter, Escape or a click
+/// elsewhere ends the typing.
 pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str) -> Option<bool> {
     let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
     let response = ui.add(edit.hint_text(hint));
@@ -71,8 +72,8 @@ pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str)
     response.lost_focus().then(|| !ui.input(|i| i.key_pressed(Key::Escape)))
 }
 
-/// Has a name that is typed kept as it is now, if it goes on, or else no more; another one whose typing was
-/// asked for meanwhile stays.
+/// Keeps the state of a name that is typed, if the typing goes on, or else lets go of it; another name
+/// whose typing was asked for meanwhile stays.
 pub fn put_back(commands: &mut Commands, renaming: Renaming, goes_on: bool) {
     commands.then(move |window| {
         let is_it = |other: &mut Renaming| other.id == renaming.id && other.of_group == renaming.of_group;

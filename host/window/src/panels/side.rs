@@ -1,4 +1,4 @@
-//! The panel at the right: the steps, and what the chosen one is made of.
+//! The panel at the right: the list of steps, and the parts of the chosen one.
 
 use super::{parameters, refinement, regions, steps, strokes};
 use crate::window::{Commands, Window};

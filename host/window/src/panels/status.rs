@@ -1,4 +1,4 @@
-//! The line at the bottom: what is going on, and how much there is.
+//! The line at the bottom: the work that is going on, and the numbers of samples and vertices.
 
 use super::{count, detail::drawing};
 use crate::window::Window;
@@ -8,7 +8,7 @@ use simod_model::size::human_size;
 use simod_viewer::engine::Job;
 use std::sync::OnceLock;
 
-/// Most memory that the program took so far, where the system tells.
+/// Greatest memory of the program so far, where the system tells.
 fn memory() -> Option<u64> {
     static WATCH: OnceLock<MemoryWatch> = OnceLock::new();
     WATCH.get_or_init(MemoryWatch::start).peak()

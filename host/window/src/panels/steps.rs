@@ -1,4 +1,4 @@
-//! The list of steps, and how each fares.
+//! The list of steps, with the state of each.
 
 use super::rows::{Dragged, carried, name_field, put_back, switch};
 use super::{count, groups, menu, number, parts};
@@ -60,7 +60,7 @@ fn row(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: 
         .corner_radius(CornerRadius::same(5))
         .inner_margin(Margin::symmetric(8, 5));
     let name = title(window, entry);
-    // What is in the row comes later, and before it: it takes its clicks first.
+    // The controls in the row are laid over the row, so that they take their clicks first.
     let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
         frame.show(ui, |ui| content(ui, window, commands, at, entry, steps, &name));
@@ -72,7 +72,7 @@ fn row(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: 
     ui.add_space(1.0);
 }
 
-/// The row can be dragged between others, and others beside it.
+/// Moves steps by dragging: the row can be dragged between others, and others beside it.
 fn reorder(
     ui: &Ui,
     window: &Window,
@@ -153,7 +153,7 @@ fn choose(commands: &mut Commands, at: usize, chosen: bool) {
     commands.apply_then(Command::Choose { step: Some(at) }, |window| window.tools.target = None);
 }
 
-/// What the user calls it.
+/// Title of a step: the user's, or else the plugin's name or that of a refinement.
 fn title(window: &Window, entry: &Entry) -> String {
     if let Some(title) = &entry.step.title {
         return title.clone();
@@ -177,7 +177,7 @@ fn state(ui: &mut Ui, window: &Window, at: usize) {
     }
 }
 
-/// What a step can do besides.
+/// Menu of the step's further commands.
 fn more(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry, all: &[Entry]) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let moves =
@@ -226,7 +226,7 @@ fn more(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry:
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
 }
 
-/// Buttons for what the step's plugin says to do about its parameters.
+/// Buttons for the remedies that the step's plugin advises.
 fn mend(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry) {
     let Some(deformation) = entry.step.deformation() else { return };
     let Ok(plugin) = window.state().plugins().get(&deformation.deform) else { return };
@@ -258,7 +258,7 @@ fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
             ui.label(RichText::new(what).small().color(ui.visuals().warn_fg_color));
         }
         Status::Failed(error) => {
-            // Steps of a file begin with their place in it.
+            // Errors of a file's steps begin with the step's place in the file.
             let text = error.to_string();
             let text = in_window(text.strip_prefix(": ").unwrap_or(&text), plugin);
             ui.label(RichText::new(text).small().color(ui.visuals().error_fg_color));

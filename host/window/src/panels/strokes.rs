@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// Height of the list, beyond which it scrolls.
 const HEIGHT: f32 = 240.0;
 
-/// The list, if there are any.
+/// Shows the list, if the step has strokes.
 pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
     let strokes = &deformation.strokes;
@@ -26,7 +26,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         n => format!("{} Brush Strokes", count(n as u64)),
     };
     parts::heading(ui, &heading, |_| ());
-    // What they can differ in besides: what is chosen of a list, as which brush it is.
+    // Strokes can differ in one more respect: the plugin's choice from a list, as of a kind of brush.
     let brush = plugin.as_ref().and_then(|p| p.params().iter().find(|d| d.kind == ParamKind::CHOICE));
     let height = ui.spacing().interact_size.y;
     ScrollArea::vertical().id_salt("strokes").max_height(HEIGHT).auto_shrink([false, true]).show_rows(
@@ -47,7 +47,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     );
 }
 
-/// One stroke; gives what the user wants of it.
+/// Row of one stroke; returns the change that the user makes.
 fn row(
     ui: &mut Ui,
     i: usize,
@@ -81,12 +81,12 @@ fn row(
         let (least, speed) = (1e-6 * stroke.radius, 0.01 * stroke.radius);
         DragValue::new(x).range(least..=f64::MAX).speed(speed).max_decimals(4).prefix("r ")
     });
-    response.on_hover_text("Radius of its brush, in the model's unit");
+    response.on_hover_text("Radius of the brush, in the model's unit");
     let name = format!("Strength of stroke {}", i + 1);
     let (response, strength) = parts::held(ui, id.with("strength"), &name, stroke.strength, |x| {
         DragValue::new(x).speed(0.01).max_decimals(2).prefix("\u{d7} ")
     });
-    response.on_hover_text("Its strength: 1 is full, negative ones do the opposite");
+    response.on_hover_text("Strength of the stroke: 1 is full, negative ones do the opposite");
     if radius.is_some() || strength.is_some() {
         let (radius, strength) = (radius.unwrap_or(stroke.radius), strength.unwrap_or(stroke.strength));
         to(Stroke { radius, strength, ..(**stroke).clone() });

@@ -1,9 +1,9 @@
-//! Messages that go away, with what to do.
+//! Messages that go away, with their advice.
 
 use crate::window::{Commands, Toast, Window};
 use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, Ui, vec2};
 
-/// Shows them at the lower right of the picture.
+/// Shows the messages at the lower right of the picture.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let (toasts, Some(next)) = window.toasts.shown() else { return };
     ctx.request_repaint_after(next);
@@ -30,7 +30,8 @@ pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     }
 }
 
-/// The button that closes a message, and beside it its text and what to do. Whether it shall be closed.
+/// Button that closes a message, and beside it its text and advice. Returns whether the message shall be
+/// closed.
 fn content(ui: &mut Ui, toast: &Toast, color: Color32) -> bool {
     let close = ui.add(egui::Button::new("\u{d7}").frame(false).fill(Color32::TRANSPARENT));
     close.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, "Close the message"));

@@ -1,4 +1,5 @@
-//! How many frames a turntable has, and where they go.
+//! The question before a turntable is drawn: the number of its frames, their size and background, their
+//! folder.
 
 use super::frames::modal;
 use super::render::{self, RenderAnswer};
@@ -10,7 +11,7 @@ use eframe::egui::{self, DragValue, Id, Modal, RichText};
 use simod_picture::FrameFolder;
 use std::path::Path;
 
-/// Shows it while it is asked.
+/// Shows the question while it is asked.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut turntable) = window.turntable.clone() else { return };
     let shown = shown_size(window);

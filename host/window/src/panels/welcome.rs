@@ -10,7 +10,7 @@ use eframe::egui::{
 use simod_viewer::engine::Job;
 use simod_viewer::state;
 
-/// Recent files that are offered.
+/// Number of recent files that are offered.
 const RECENT: usize = 5;
 const SIZE: Vec2 = vec2(440.0, 440.0);
 
@@ -79,7 +79,7 @@ fn samples(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         }
     })
     .response
-    .on_hover_text("About how many: more show finer detail, and take longer to deform");
+    .on_hover_text("Number of samples, approximately: more show finer detail, and take longer to deform");
 }
 
 fn recent(ui: &mut Ui, window: &Window, commands: &mut Commands) {

@@ -4,7 +4,8 @@ use super::Gesture;
 use crate::viewport::ModelArea;
 use crate::window::{Commands, Window};
 
-/// The picture that a tool is over, the window, what it asks for, and what the pointer has begun.
+/// Context of a tool: the picture that it is over, the window, the tool's commands, and the gesture of the
+/// pointer.
 pub struct ToolContext<'a> {
     pub canvas: &'a ModelArea<'a>,
     pub window: &'a Window,

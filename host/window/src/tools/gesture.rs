@@ -3,23 +3,24 @@
 use super::place::Several;
 use super::transforming::Transforming;
 
-/// The gestures that the pointer has begun, of each tool. The tool that works has it for itself meanwhile.
+/// Gestures that the pointer has begun, of each tool. The tool that works has its gesture for itself
+/// meanwhile.
 #[derive(Default)]
 pub struct Gesture {
     /// A motion by keys.
     pub transforming: Option<Transforming>,
     /// Pixels that the pointer went along, while a selection or a stroke is drawn.
     pub path: Vec<[f64; 2]>,
-    /// Whether the button is held that paints, wherever it was pressed.
+    /// Whether the button is held that paints, wherever the button was pressed.
     pub painting: bool,
-    /// Where the drag of a chain of joints began, in pixels.
+    /// Beginning of the drag of a chain of joints, in pixels.
     pub chain_from: Option<[f64; 2]>,
-    /// The point of what is measured that is held.
+    /// Place among the measured points of the one that is held.
     pub measured_point: Option<usize>,
     /// The plane of a step's axis that is held, and whether it was moved.
     pub plane: Option<usize>,
     pub drags_plane: bool,
-    /// The gizmo, whether it moves something just now, and what moves along.
+    /// The gizmo, whether it moves something just now, and the handles that move along.
     pub gizmo: transform_gizmo::Gizmo,
     pub dragging: bool,
     pub several: Option<Several>,
@@ -36,7 +37,7 @@ impl Gesture {
             || !self.path.is_empty()
     }
 
-    /// Nothing is held any more; the gizmo stays as it was drawn last.
+    /// Lets go of all that is held; the gizmo stays as it was drawn last.
     pub fn reset(&mut self) {
         *self = Self { gizmo: std::mem::take(&mut self.gizmo), ..Self::default() };
     }

@@ -21,7 +21,7 @@ const SNAP_DEGREES: f32 = 15.0;
 /// Steps of a shift, as a part of the model's size.
 const SNAP_DISTANCE: f32 = 0.05;
 
-/// The place of what is in the hand, if anything is.
+/// Part in the hand with its place, if anything is in the hand.
 pub fn place(window: &Window, commands: &mut Commands) -> Option<GizmoTarget> {
     let (step, id, deformation, _) = window.chosen()?;
     let target = window.tools.target.clone()?;
@@ -32,7 +32,7 @@ pub fn place(window: &Window, commands: &mut Commands) -> Option<GizmoTarget> {
             let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
             let pivot = match (motion.pivot, known) {
                 (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
-                // All samples are gone through to find the pivot.
+                // The pivot is found by a pass over all samples.
                 (None, None) => window.state().handle_pivot(step, *region)?,
             };
             let known = Some((id, *region, pivot));
@@ -58,7 +58,7 @@ pub fn held(window: &Window, step: usize, id: StepId) -> Option<GrabbedHandles> 
     GrabbedHandles::new(&window.state().handles(step), &window.tools.handles(id), reach)
 }
 
-/// Other handles that move along, as they are now, if any do.
+/// Other handles that move along, as they are now; none if no other does.
 fn several(place: &GizmoTarget, window: &Window) -> Option<Several> {
     let tools = &window.tools;
     let alone = tools.reach == 0.0 && tools.handles(place.id).len() < 2;
@@ -110,7 +110,7 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
     context.gesture.gizmo.is_focused()
 }
 
-/// How the gizmo is seen, and what it can do with what it moves.
+/// View of the gizmo, and the motions that the moved part allows.
 fn config(canvas: &ModelArea<'_>, window: &Window, scene: &ViewerScene, place: &GizmoTarget) -> GizmoConfig {
     let (camera, size) = (window.state().camera(), window.state().size());
     let near_far = camera.near_far(scene.bounds().map(|corner| corner.as_dvec3()));
@@ -133,9 +133,9 @@ fn config(canvas: &ModelArea<'_>, window: &Window, scene: &ViewerScene, place: &
     }
 }
 
-/// The gizmo follows the pointer: where it takes what is at `transform`, if it is dragged.
+/// Lets the gizmo follow the pointer: returns the new place of the thing at `transform`, if it is dragged.
 fn follow(canvas: &ModelArea<'_>, gesture: &mut Gesture, transform: Transform) -> Option<Transform> {
-    // Where it was pressed: in a slow picture the pointer may be far from there already.
+    // The place of the press counts: in a slow picture the pointer may be far from there already.
     let pressed = canvas.is_pressed().then(|| canvas.ctx().input(|i| i.pointer.press_origin())).flatten();
     let at = pressed.or(canvas.pointer_pos()).unwrap_or(Pos2::ZERO);
     let interaction = GizmoInteraction {
@@ -144,7 +144,7 @@ fn follow(canvas: &ModelArea<'_>, gesture: &mut Gesture, transform: Transform) -
         drag_started: canvas.is_pressed(),
         dragging: canvas.is_down(),
     };
-    // What it was dragged to when it was let go counts, too.
+    // The place at which the button was let go counts, too.
     let released = gesture.dragging && !canvas.is_down();
     let gizmo = &mut gesture.gizmo;
     let moved = gizmo
@@ -155,7 +155,7 @@ fn follow(canvas: &ModelArea<'_>, gesture: &mut Gesture, transform: Transform) -
     moved?.1.first().copied()
 }
 
-/// What was moved goes back to where it is at rest.
+/// Moves the part in the hand back to its place at rest.
 pub fn reset(window: &Window, commands: &mut Commands) {
     let Some(place) = place(window, commands) else { return };
     let change = match (&place.kind, place.target) {
@@ -171,7 +171,7 @@ pub fn reset(window: &Window, commands: &mut Commands) {
     commands.change(place.step, change, false);
 }
 
-/// In local coordinates, as the gizmo has it.
+/// The gizmo's transform of a map in model coordinates: local coordinates, as the gizmo has them.
 fn transform(matrix: &DAffine3, to_local: impl Fn(DVec3) -> DVec3) -> Transform {
     let scale = matrix.matrix3.determinant().abs().cbrt().max(f64::MIN_POSITIVE);
     let turn = DQuat::from_mat3(&(matrix.matrix3 * scale.recip())).normalize();
@@ -206,7 +206,7 @@ fn visuals() -> GizmoVisuals {
     }
 }
 
-/// What the gizmo draws, for egui.
+/// Triangles that the gizmo draws, for egui.
 fn mesh(gizmo: &transform_gizmo::Gizmo) -> Mesh {
     let data = gizmo.draw();
     let vertex = |([x, y], [r, g, b, a]): (&[f32; 2], &[f32; 4])| epaint::Vertex {

@@ -8,7 +8,7 @@ use simod_session::edit::StepId;
 use simod_viewer::selection::Combine;
 use std::collections::BTreeSet;
 
-/// What is in the hand.
+/// Tool in the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(missing_docs, reason = "they say it")]
 pub enum Tool {
@@ -43,7 +43,7 @@ impl Tool {
         }
     }
 
-    /// What to do with it.
+    /// Instruction for the tool's use.
     pub fn hint(self) -> &'static str {
         match self {
             Self::Orbit => "Drag to look around; click a handle to grab it.",
@@ -59,44 +59,46 @@ impl Tool {
                 "Click to place a joint, drag to place a chain; it hangs on the one that is chosen."
             }
             Self::Measure => {
-                "Click points on the surface: how far apart, and at which angle. Drag one to move it."
+                "Click points on the surface to measure distances and angles. Drag one to move it."
             }
         }
     }
 
-    /// Whether it moves handles.
+    /// Whether the tool moves handles.
     pub fn is_gizmo(self) -> bool {
         matches!(self, Self::Move | Self::Rotate | Self::Scale)
     }
 
-    /// Whether it selects samples.
+    /// Whether the tool selects samples.
     pub fn selects(self) -> bool {
         matches!(self, Self::Brush | Self::Lasso | Self::Box | Self::Connected)
     }
 
-    /// Whether a click takes a handle, and a drag moves the camera.
+    /// Whether a click with the tool takes a handle, and a drag moves the camera.
     pub fn grabs(self) -> bool {
         self.is_gizmo() || self == Self::Orbit
     }
 }
 
-/// The tools, with their options, and what is going on with them.
+/// The tools with their options, and the gesture that is going on.
 pub struct Tools {
-    /// What is in the hand.
+    /// Tool in the hand.
     pub tool: Tool,
     /// The part that the gizmo moves.
     pub target: Option<MovedPart>,
-    /// Other handles of a step that are chosen besides a target; of no use once another one is.
+    /// Other handles of a step that are chosen besides a target; without meaning once the target is another
+    /// one.
     pub others: Option<(StepId, MovedPart, BTreeSet<String>)>,
-    /// Within which part of the model's diagonal handles go along with those that are moved; none at 0.
+    /// Distance within which other handles go along with those that are moved, as a part of the model's
+    /// diagonal; no handles go along at 0.
     pub reach: f64,
     /// Whether a box chooses handles instead of samples.
     pub boxes_handles: bool,
     /// A motion by keys that shall begin with the next picture.
     pub begins: Option<Tool>,
-    /// What a selection does to the former one, if no key says otherwise.
+    /// Effect of a selection on the former one, if no key says otherwise.
     pub combine: Combine,
-    /// Whether only what is seen is selected.
+    /// Whether only visible samples are selected.
     pub visible: bool,
     /// Radius of the selecting brush, in points of the screen.
     pub radius: f32,
@@ -108,17 +110,17 @@ pub struct Tools {
     /// limb alone.
     pub places_pins: bool,
     pub holds_body: bool,
-    /// Joints of a chain that is dragged.
+    /// Number of joints of a chain that is dragged.
     pub chain: usize,
     /// A joint whose name is typed, and the name so far.
     pub naming: Option<(String, String)>,
-    /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
+    /// Width of the band around a new handle that bends, as a part of the model's diagonal.
     pub band: f64,
     /// The kind of measurement.
     pub measuring: Measuring,
-    /// About what the gizmo's region turns.
+    /// Point about which the gizmo's region turns.
     pub pivot: Option<(StepId, usize, DVec3)>,
-    /// What the pointer has begun.
+    /// Gesture that the pointer has begun.
     pub gesture: Gesture,
 }
 
@@ -155,14 +157,14 @@ impl Tools {
         self.gesture.path.clear();
     }
 
-    /// Another model: nothing is held any more.
+    /// Lets go of all that is held, as another model comes.
     pub fn reset(&mut self) {
         (self.target, self.others, self.pivot) = (None, None, None);
         (self.begins, self.naming) = (None, None);
         self.gesture.reset();
     }
 
-    /// By so many presses of a key, the brushes are larger.
+    /// Makes the brushes larger by so many presses of a key.
     pub fn size_brushes(&mut self, presses: i32) {
         self.radius = (self.radius * 1.2_f32.powi(presses)).clamp(2.0, 400.0);
         self.stroke_radius = (self.stroke_radius * 1.2_f64.powi(presses)).clamp(1e-3, 1.0);
@@ -200,7 +202,7 @@ impl Tools {
         self.tool == Tool::Box && self.boxes_handles
     }
 
-    /// What a selection does with these keys held.
+    /// Effect of a selection on the former one with these keys held.
     pub fn combine_with(&self, modifiers: Modifiers) -> Combine {
         match (modifiers.shift, modifiers.command) {
             (true, _) => Combine::Add,
@@ -213,16 +215,16 @@ impl Tools {
 /// The kind of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measuring {
-    /// Between two points; a third one begins anew.
+    /// Distance between two points; a third one begins anew.
     Distance,
-    /// At the second of three points; a fourth one begins anew.
+    /// Angle at the second of three points; a fourth one begins anew.
     Angle,
-    /// Along all of them.
+    /// Length along all points.
     Path,
 }
 
 impl Measuring {
-    /// Points that it takes, at most.
+    /// Number of points that the measurement takes at most.
     pub fn points(self) -> usize {
         match self {
             Self::Distance => 2,

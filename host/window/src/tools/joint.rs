@@ -10,7 +10,7 @@ use simod_session::step::{Deformation, Joint};
 use simod_viewer::Command;
 use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 
-/// From so many points of the screen on, a press that moves is a drag.
+/// Points of the screen from which on a press that moves is a drag.
 const LEAST: f32 = 14.0;
 
 pub fn update(context: &mut ToolContext<'_>) -> bool {
@@ -57,7 +57,8 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
     false
 }
 
-/// Takes other joints, the last of which was placed now; the body is held by pins, if that is wanted.
+/// Gives the step other joints, the last of which was placed now; the body is held by pins, if that is
+/// wanted.
 fn put(window: &Window, commands: &mut Commands, step: usize, joints: Vec<Joint>) {
     let last = joints.last().map(|joint| joint.id.clone());
     let joints =
@@ -66,7 +67,8 @@ fn put(window: &Window, commands: &mut Commands, step: usize, joints: Vec<Joint>
     commands.apply_then(Command::Edit(change), |window| window.tools.target = last.map(MovedPart::Handle));
 }
 
-/// Bones lie in the middle of what they carry; with Shift, on the surface.
+/// Place of a new joint under a pixel: in the middle of the body that the bone carries; with Shift, on the
+/// surface.
 fn place(canvas: &ModelArea<'_>, window: &Window, step: usize, pixel: DVec2) -> Option<DVec3> {
     if canvas.modifiers().shift {
         let hit = window.state().pick(pixel);
@@ -76,7 +78,7 @@ fn place(canvas: &ModelArea<'_>, window: &Window, step: usize, pixel: DVec2) -> 
     }
 }
 
-/// What a new joint hangs on: the one in the hand, or the last one.
+/// Parent of a new joint: the joint in the hand, or the last one.
 fn parent(window: &Window, deformation: &Deformation) -> Option<String> {
     match &window.tools.target {
         Some(MovedPart::Handle(id)) if deformation.joints.iter().any(|joint| joint.id == *id) => {
@@ -89,14 +91,14 @@ fn parent(window: &Window, deformation: &Deformation) -> Option<String> {
     }
 }
 
-/// Where the joints of a chain are between the ends of a drag.
+/// Pixels of a chain's joints, evenly between the ends of a drag.
 fn pixels(from: DVec2, to: DVec2, count: usize) -> impl Iterator<Item = DVec2> {
     (0..count).map(move |i| from.lerp(to, i as f64 / (count - 1).max(1) as f64))
 }
 
 fn chain(context: &mut ToolContext<'_>, step: usize, deformation: &Deformation, [from, to]: [DVec2; 2]) {
     let (canvas, window) = (context.canvas, context.window);
-    // One that begins at a joint goes on from there.
+    // A chain that begins at a joint goes on from there.
     let begins = handles::joint_at(canvas, window, from);
     let skipped = usize::from(begins.is_some());
     let parent = begins.or_else(|| parent(window, deformation));

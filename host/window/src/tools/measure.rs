@@ -1,4 +1,5 @@
-//! Lengths and angles, between points on the surface that are clicked and dragged; they go along with it.
+//! Lengths and angles, between points on the surface that are clicked and dragged; the points go along with
+//! the surface.
 
 use super::ToolContext;
 use super::hand::Measuring;
@@ -9,11 +10,11 @@ use glam::DVec3;
 use simod_viewer::Command;
 use simod_viewer::measured::{Measure, MeasuredPoint, angle, distance};
 
-/// How near to a point the pointer has to be to take it, in points of the screen.
+/// Distance from a point within which the pointer takes it, in points of the screen.
 const NEAR: f32 = 9.0;
 /// The colour of the lines.
 const COLOR: Color32 = Color32::from_rgb(255, 226, 120);
-/// Lines that are seen shorter than this have no number on them, in points of the screen.
+/// Length of lines on the screen below which they have no number, in points of the screen.
 const SHORT: f32 = 50.0;
 /// Part of the shorter side that an angle's arc is away from its corner, and lines of an arc.
 const ARC: f64 = 0.28;
@@ -29,13 +30,13 @@ pub fn exact(x: f64) -> String {
     format!("{x:.decimals$}")
 }
 
-/// What is read of a measure: as it is now, and at rest where it was another one.
+/// Text of a measure: its present value, and that at rest where it was another one.
 pub fn told(measure: &Measure, unit: &str) -> String {
     let now = format!("{}{unit}", exact(measure.now));
     if measure.is_changed() { format!("{now} (at rest {}{unit})", exact(measure.rest)) } else { now }
 }
 
-/// The points, by where they were before all steps.
+/// The measured points' places before all steps.
 fn points(window: &Window) -> Vec<DVec3> {
     window.state().measured().iter().map(|point| point.rest).collect()
 }
@@ -56,7 +57,7 @@ pub fn clear(window: &Window, commands: &mut Commands) {
     }
 }
 
-/// Where the points are seen.
+/// Place of a point of local coordinates on the screen.
 fn seen(canvas: &ModelArea<'_>, window: &Window, local: DVec3) -> Option<Pos2> {
     let (camera, size) = (window.state().camera(), window.state().size());
     camera.project(local, size).map(|(pixel, _)| canvas.in_points(pixel))
@@ -108,12 +109,12 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
     false
 }
 
-/// The point of the surface under the pointer, by where it is at rest.
+/// Place at rest of the surface's point under the pointer.
 fn hit(canvas: &ModelArea<'_>, window: &Window) -> Option<DVec3> {
     window.state().at_rest(&window.state().pick(canvas.pointer()?)?)
 }
 
-/// Moves a point to where the pointer is.
+/// Moves a point to the place of the pointer.
 fn drag(context: &mut ToolContext<'_>, held: usize) {
     let Some(at) = hit(context.canvas, context.window) else { return };
     let mut points = points(context.window);
@@ -123,7 +124,7 @@ fn drag(context: &mut ToolContext<'_>, held: usize) {
     }
 }
 
-/// Adds a point where the pointer is, or begins anew where there are enough.
+/// Adds a point at the place of the pointer, or begins anew where there are enough.
 fn add(context: &mut ToolContext<'_>) {
     let Some(at) = hit(context.canvas, context.window) else { return };
     let mut points = points(context.window);
@@ -134,7 +135,7 @@ fn add(context: &mut ToolContext<'_>) {
     context.commands.apply(Command::Measure { points });
 }
 
-/// Draws what is measured, whatever the tool.
+/// Draws the measured points and lines, whatever the tool.
 pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return };
     let measured = window.state().measured();
@@ -174,7 +175,8 @@ pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     }
 }
 
-/// Around the middle one of three points, from the way to the first to that to the last.
+/// Points of an arc around the middle one of three points, from the direction of the first to that of the
+/// last.
 fn arc(corner: &[MeasuredPoint]) -> Vec<DVec3> {
     let [a, b, c] = [0, 1, 2].map(|i| corner[i].now);
     let (u, v) = (a - b, c - b);
@@ -197,7 +199,7 @@ fn label(canvas: &ModelArea<'_>, at: Pos2, text: &str) {
     canvas.painter().galley(rect.min + vec2(6.0, 2.5), galley, Color32::WHITE);
 }
 
-/// What the points come to, in words; nothing where there are none.
+/// Results of the measurement, in words; nothing where there are no points.
 pub fn summary(window: &Window) -> Option<String> {
     let measured = window.state().measured();
     let sides: Vec<Measure> = measured.windows(2).map(|pair| distance(&pair[0], &pair[1])).collect();

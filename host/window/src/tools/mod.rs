@@ -30,7 +30,8 @@ pub fn is_of_use(tool: Tool, window: &Window) -> bool {
     }
 }
 
-/// The tool in the hand does its work and draws itself. Whether the pointer is its own, and not the camera's.
+/// Lets the tool in the hand do its work and draw itself. Returns whether the pointer belongs to the tool,
+/// and not to the camera.
 pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     window.draw(|window, commands| follow_keys(canvas, window, commands));
     window.draw_with(
@@ -42,7 +43,7 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     )
 }
 
-/// What keys say before the pointer does something.
+/// Follows the keys before the pointer does something.
 fn follow_keys(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
     let ctx = canvas.ctx();
     if canvas.is_hovered() && !ctx.egui_wants_keyboard_input() {

@@ -1,11 +1,11 @@
-//! The thing that the gizmo moves, and the changes that bring it elsewhere.
+//! The part of a step that the gizmo moves, and the changes that bring it elsewhere.
 
 use glam::{DAffine3, DVec3};
 use simod_session::edit::{Change, StepId};
 use simod_viewer::held::GrabbedHandles;
 use simod_viewer::motion::{PlacedHandle, motion_of};
 
-/// What the gizmo moves, of the chosen step.
+/// Part of the chosen step that the gizmo moves.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum MovedPart {
     /// A handle region, by its place among the regions.
@@ -14,17 +14,17 @@ pub enum MovedPart {
     Handle(String),
 }
 
-/// The thing that the gizmo moves, and where it is.
+/// Part that the gizmo moves, with its place.
 #[derive(Clone)]
 pub struct GizmoTarget {
-    /// The step that it is of.
+    /// Place and id of the part's step.
     pub step: usize,
     pub id: StepId,
     pub target: MovedPart,
-    /// Where it is: model coordinates.
+    /// Place of the part, from its own coordinates to model coordinates.
     pub matrix: DAffine3,
     pub kind: MovedKind,
-    /// How it may be moved.
+    /// Motions that the part allows.
     pub can: simod_plugin_api::Gizmo,
 }
 
@@ -37,14 +37,14 @@ pub enum MovedKind {
     Handle(PlacedHandle),
 }
 
-/// Several handles, as they were when the hand took them, and where the gizmo was.
+/// Several handles, as they were when the hand took them, and the gizmo's place then.
 pub struct Several {
     pub held: GrabbedHandles,
     pub from: DAffine3,
 }
 
 impl Several {
-    /// How they go along with the gizmo.
+    /// Change that moves the handles along with the gizmo to this place.
     pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
         let map = matrix * self.from.inverse();
         let pivot = self.held.pivot();
@@ -54,7 +54,7 @@ impl Several {
 }
 
 impl GizmoTarget {
-    /// What it takes for its gizmo to be there.
+    /// Change that brings the part to the place of its gizmo.
     pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
         Some(match (&self.kind, &self.target) {
             (MovedKind::Region { pivot }, MovedPart::Region(region)) => {

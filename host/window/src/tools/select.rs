@@ -10,7 +10,7 @@ use simod_viewer::command::Area;
 use simod_viewer::selection::Combine;
 use std::collections::BTreeSet;
 
-/// Points of a lasso are so far apart at least, in pixels.
+/// Least distance between points of a lasso, in pixels.
 const SPACING: f64 = 3.0;
 
 pub fn update(context: &mut ToolContext<'_>) -> bool {
@@ -50,7 +50,7 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
     drawing || canvas.is_pressed()
 }
 
-/// The pointer went on.
+/// Continues a selection after the pointer went on.
 fn follow(context: &mut ToolContext<'_>, combine: Combine) {
     let (canvas, window, path) = (context.canvas, context.window, &mut context.gesture.path);
     let from = path.len() - 1;
@@ -65,7 +65,7 @@ fn follow(context: &mut ToolContext<'_>, combine: Combine) {
     }
     let new = path[from.min(path.len() - 1)..].to_vec();
     if window.tools.tool == Tool::Brush && new.len() > 1 {
-        // What is painted first has replaced the selection.
+        // The first dab has replaced the selection; later ones add to it.
         let combine = if combine == Combine::Replace { Combine::Add } else { combine };
         paint(context, new, combine, true);
     }
@@ -77,7 +77,7 @@ fn paint(context: &mut ToolContext<'_>, path: Vec<[f64; 2]>, combine: Combine, g
     context.commands.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
 }
 
-/// The handles in the box are chosen, and can be moved.
+/// Chooses the handles in the box, to be moved.
 fn choose(context: &mut ToolContext<'_>, path: &[[f64; 2]], combine: Combine) {
     let (canvas, window) = (context.canvas, context.window);
     let Some((_, step, ..)) = window.chosen() else { return };

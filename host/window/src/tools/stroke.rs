@@ -6,7 +6,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
 use simod_viewer::{Command, Hit};
 
-/// Points of a stroke are so far apart at least, in radii of the brush.
+/// Least distance between points of a stroke, in radii of the brush.
 const SPACING: f64 = 0.15;
 /// Corners of the circle that shows the brush.
 const CORNERS: usize = 48;
@@ -50,7 +50,7 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
 /// The painting since the last picture: the beginning of a stroke, if none is drawn, and its points.
 type Painted = (Option<Command>, Vec<Command>);
 
-/// The brush follows the pointer. A stroke that begins beside the surface begins where the hand gets to it.
+/// Paints where the pointer went. A stroke that begins beside the surface begins at its first point on it.
 fn paint(canvas: &ModelArea<'_>, window: &Window, gesture: &mut Gesture, step: usize) -> Painted {
     let (mut begin, mut points) = (None, Vec::new());
     for pixel in canvas.trail() {
@@ -79,14 +79,14 @@ fn begin_stroke(canvas: &ModelArea<'_>, window: &Window, step: usize) -> Option<
     Some(Command::BeginStroke { step, radius, strength, params: Default::default() })
 }
 
-/// How far apart points of a stroke are at a place of the surface, in pixels.
+/// Distance between points of a stroke at a place of the surface, in pixels.
 fn spacing(window: &Window, hit: &Hit) -> f64 {
     let (camera, size) = (window.state().camera(), window.state().size());
     let depth = camera.project(hit.local, size).map_or(1.0, |p| p.1);
     (SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size)).max(2.0)
 }
 
-/// How hard a pen is pressed, from 0 to 1, if there is one.
+/// Pressure of a pen, from 0 to 1, if there is one.
 fn pressure(canvas: &ModelArea<'_>) -> Option<f32> {
     let force = canvas.ctx().input(|i| {
         i.events.iter().rev().find_map(|event| match event {

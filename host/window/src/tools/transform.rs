@@ -1,5 +1,5 @@
-//! A motion by keys: G, R and S begin it at once; X, Y and Z say along what, digits how far. Enter or a click
-//! ends it, Escape or the right button takes it back.
+//! Motion by keys: G, R and S begin it at once; X, Y and Z choose the axis, digits the amount. Enter or a
+//! click ends the motion, Escape or the right button takes it back.
 
 use super::gizmo;
 use super::transforming::{TransformOutcome, Transformed, Transforming};
@@ -10,7 +10,7 @@ use eframe::egui::CursorIcon;
 use simod_viewer::Command;
 use simod_viewer::transform::{ScreenView, Transform, TransformKind};
 
-/// Begins, if there is anything in the hand and the pointer is over the picture.
+/// Begins a motion, if there is anything in the hand and the pointer is over the picture.
 pub fn begin(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: Tool) {
     let kind = match tool {
         Tool::Rotate => TransformKind::Turn,
@@ -37,7 +37,8 @@ pub fn begin(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, t
     commands.then(|window| window.tools.gesture.transforming = Some(begun));
 }
 
-/// Goes on with a motion, if there is one. The pointer is its own as long as it lasts.
+/// Continues a motion, if there is one. Returns whether the pointer belongs to the motion, as long as it
+/// lasts.
 pub fn update(context: &mut ToolContext<'_>) -> bool {
     let (canvas, window) = (context.canvas, context.window);
     let Some(mut going) = context.gesture.transforming.take() else { return false };

@@ -1,4 +1,4 @@
-//! A motion by keys that is going on: what it moves, what keys say, and how it is drawn.
+//! A motion by keys that is going on: the handles or region, the keys so far, and the drawing.
 
 use super::place::GizmoTarget;
 use crate::numbers::number;
@@ -18,15 +18,15 @@ const NAMES: [&str; 3] = ["X", "Y", "Z"];
 
 /// A motion that is going on.
 pub struct Transforming {
-    /// What the pointer and the keys said so far, of which step, and what moves.
+    /// Motion that the pointer and the keys have given so far, the step, and the parts that move.
     pub transform: Transform,
     pub step: StepId,
     pub of: Transformed,
-    /// The middle, local coordinates.
+    /// Middle of the parts, in local coordinates.
     pub middle: DVec3,
     /// The motion that was done last.
     pub last: Option<Motion>,
-    /// Whether the button is held that ends it.
+    /// Whether the button is held that ends the motion.
     pub pressed: bool,
 }
 
@@ -39,7 +39,7 @@ pub enum Transformed {
 }
 
 impl Transformed {
-    /// What it takes to move it so from where it was.
+    /// Change that moves the parts by a motion, from their places at its beginning.
     pub fn change(&self, motion: &Motion) -> Option<Change> {
         match self {
             Self::Handles(held) => held.moved(motion).map(Change::MoveHandles),
@@ -56,7 +56,7 @@ pub enum TransformOutcome {
 }
 
 impl Transforming {
-    /// What keys and buttons say.
+    /// Outcome of the keys and buttons since the last picture.
     pub fn next(&mut self, ctx: &egui::Context) -> TransformOutcome {
         let events = ctx.input_mut(|i| std::mem::take(&mut i.events));
         let mut next = TransformOutcome::GoesOn;
@@ -87,7 +87,7 @@ impl Transforming {
         next
     }
 
-    /// The axis, and what is done, in numbers.
+    /// Draws the axis, and the motion in numbers.
     pub fn draw(&self, canvas: &ModelArea<'_>, seen: ScreenView<'_>) {
         let painter = canvas.painter();
         if let Some(axis) = self.transform.axis() {
@@ -95,7 +95,7 @@ impl Transforming {
                 let pixel = seen.camera.project(self.middle + far * DVec3::AXES[axis], seen.size)?.0;
                 Some(canvas.in_points(pixel))
             };
-            // In short pieces, as a line may go behind the eye.
+            // The line is drawn in short pieces, as it may go behind the eye.
             let ends: Vec<_> = (-40..=40).map(|i| end(f64::from(i) * 0.1)).collect();
             for pair in ends.windows(2) {
                 if let [Some(a), Some(b)] = pair {

@@ -1,29 +1,29 @@
-//! The part of the window that shows the model, and what the pointer does there.
+//! The part of the window that shows the model, and the pointer over it.
 
 use eframe::egui::{self, Event, Painter, PointerButton, Pos2, Rect, Response};
 use glam::DVec2;
 
 /// The part of the window that shows the model.
 pub struct ModelArea<'a> {
-    /// What egui knows of the pointer over it.
+    /// State of the pointer over the area, as egui knows it.
     pub response: &'a Response,
-    /// What draws over the picture.
+    /// Painter that draws over the picture.
     pub painter: Painter,
-    /// Where it is, in points.
+    /// Place of the area, in points of the screen.
     pub rect: Rect,
     /// Pixels of the picture in a point of the screen.
     pub pixels_per_point: f32,
-    /// Whether something else is before it.
+    /// Whether something else lies over the area under the pointer.
     pub blocked: bool,
 }
 
 impl ModelArea<'_> {
-    /// egui's.
+    /// Context of egui.
     pub fn ctx(&self) -> &egui::Context {
         &self.response.ctx
     }
 
-    /// Where it is, in points.
+    /// Place of the area, in points of the screen.
     pub fn rect(&self) -> Rect {
         self.rect
     }
@@ -33,23 +33,23 @@ impl ModelArea<'_> {
         &self.painter
     }
 
-    /// Whether the pointer is over it, and nothing else is before it.
+    /// Whether the pointer is over the area, and nothing else lies over it.
     pub fn is_hovered(&self) -> bool {
         self.response.contains_pointer() && !self.blocked
     }
 
-    /// Where the pointer is, in points.
+    /// Place of the pointer, in points of the screen.
     pub fn pointer_pos(&self) -> Option<Pos2> {
         self.ctx().input(|i| i.pointer.latest_pos())
     }
 
-    /// The pixel of the picture under the pointer; may be outside of it.
+    /// Pixel of the picture under the pointer; may be outside of the picture.
     pub fn pointer(&self) -> Option<DVec2> {
         let p = (self.pointer_pos()? - self.rect.min) * self.pixels_per_point;
         Some(DVec2::new(f64::from(p.x), f64::from(p.y)))
     }
 
-    /// The pixel where the left button was pressed last: of a quick click, it is up again by now.
+    /// Pixel where the left button was pressed last: of a quick click, the button is up again by now.
     pub fn press(&self) -> Option<[f64; 2]> {
         let pressed = |event: &Event| match event {
             Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, .. } => Some(*pos),
@@ -60,8 +60,8 @@ impl ModelArea<'_> {
         Some([f64::from(p.x), f64::from(p.y)])
     }
 
-    /// The pixels that the pointer went through since the last picture, from where it was pressed, if it was,
-    /// to where it is or was let go.
+    /// Pixels that the pointer went through since the last picture: from that of the press, if the button
+    /// was pressed, to the present one or that of the release.
     pub fn trail(&self) -> Vec<DVec2> {
         let pixel = |p: Pos2| {
             let p = (p - self.rect.min) * self.pixels_per_point;
@@ -85,18 +85,18 @@ impl ModelArea<'_> {
         })
     }
 
-    /// Where a pixel is, in points.
+    /// Place of a pixel of the picture, in points of the screen.
     pub fn in_points(&self, pixel: DVec2) -> Pos2 {
         let p = pixel.as_vec2() / self.pixels_per_point;
         self.rect.min + egui::vec2(p.x, p.y)
     }
 
-    /// A length in pixels.
+    /// Length in pixels of a length in points of the screen.
     pub fn pixels(&self, points: f32) -> f64 {
         f64::from(points * self.pixels_per_point)
     }
 
-    /// Whether the left button has just been pressed over it.
+    /// Whether the left button has just been pressed over the area.
     pub fn is_pressed(&self) -> bool {
         let modifiers = self.modifiers();
         self.is_hovered() && self.ctx().input(|i| i.pointer.primary_pressed()) && !modifiers.alt
@@ -107,7 +107,7 @@ impl ModelArea<'_> {
         self.ctx().input(|i| i.pointer.primary_down())
     }
 
-    /// Whether it was clicked with the left button.
+    /// Whether the area was clicked with the left button.
     pub fn is_clicked(&self) -> bool {
         self.response.clicked_by(PointerButton::Primary) && !self.blocked
     }

@@ -11,11 +11,11 @@ use simod_viewer::overlay::{self, OverlayScale, ScalarField};
 use simod_viewer::{ComparedVersion, Overlay, Selection, Tint, ViewerScene};
 use std::sync::Arc;
 
-/// How much of a selected sample's colour is that of the selection.
+/// Share of the selection's colour in that of a selected sample, and of a region's colour.
 const SELECTED: f32 = 0.75;
 const REGION: f32 = 0.62;
 
-/// What the colours depend on.
+/// State on which the colours depend.
 #[derive(PartialEq, Default)]
 struct ColorsKey {
     samples: usize,
@@ -28,7 +28,7 @@ struct ColorsKey {
     range: Option<[f32; 2]>,
     selection: Selection,
     regions: Option<ShownRegions>,
-    /// Whether parts are shown in full.
+    /// Whether parts of the model are shown in full.
     detail: bool,
 }
 
@@ -37,7 +37,7 @@ struct ColorsKey {
 struct ShownRegions {
     step: StepId,
     shapes: Vec<(Role, Shapes)>,
-    /// The address of what the step began with.
+    /// Address of the positions with which the step began.
     before: usize,
 }
 
@@ -46,7 +46,7 @@ struct ShownRegions {
 pub struct SampleColors {
     key: ColorsKey,
     weights: Vec<(Role, ScalarField)>,
-    /// What is done to the colours, and the outcome.
+    /// Mixing of each sample's colour with those of regions and the selection, and the outcome.
     mixing: Option<Vec<Mixing>>,
     scale: Option<OverlayScale>,
     colors: Option<Vec<[u8; 3]>>,
@@ -54,8 +54,8 @@ pub struct SampleColors {
 }
 
 impl SampleColors {
-    /// Finds the samples' colours. Whether they have changed. The selection and regions are of
-    /// the version that is worked on.
+    /// Finds the samples' colours. Returns whether they have changed. The selection and regions are of the
+    /// version that is worked on.
     pub fn update(&mut self, window: &Window, version: ComparedVersion, scene: &Arc<ViewerScene>) -> bool {
         let key = match version {
             ComparedVersion::Now => key(window, scene),
@@ -99,7 +99,7 @@ impl SampleColors {
         Some(colors)
     }
 
-    /// What regions and the selection do to the colours, if anything.
+    /// Mixing of each sample's colour with those of regions and the selection, if there are any.
     fn mixed(&self, scene: &ViewerScene, key: &ColorsKey) -> Option<Vec<Mixing>> {
         if self.weights.is_empty() && key.selection.is_empty() {
             return None;
@@ -146,7 +146,7 @@ fn weights(window: &Window, scene: &ViewerScene, key: &ColorsKey) -> Vec<(Role, 
     let (Some(regions), Some(at)) = (&key.regions, window.state().chosen()) else {
         return Vec::new();
     };
-    // A step that was not reached yet begins with what is shown.
+    // A step that was not reached yet begins with the shown positions.
     let before = scene.before.get(at).unwrap_or(&scene.positions);
     regions.shapes.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
 }

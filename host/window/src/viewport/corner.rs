@@ -1,4 +1,4 @@
-//! The axes in the corner: how the model is turned, and clicks to look along one.
+//! The axes in the corner: they show the model's orientation; a click on one looks along it.
 
 use crate::window::{Commands, Window};
 use eframe::egui::{self, Align2, Color32, FontId, Id, Pos2, Rect, Sense, Stroke, Ui, Vec2, vec2};
@@ -15,13 +15,13 @@ fn middle(rect: Rect) -> Pos2 {
     rect.right_top() + vec2(-RADIUS - MARGIN, RADIUS + MARGIN)
 }
 
-/// Whether the pointer is over it.
+/// Whether the pointer is over the axes.
 pub fn contains(rect: Rect, ctx: &egui::Context) -> bool {
     ctx.input(|i| i.pointer.latest_pos()).is_some_and(|p| p.distance(middle(rect)) < RADIUS + BALL)
         && !ctx.input(|i| i.pointer.any_down() && !i.pointer.any_pressed())
 }
 
-/// The ends of the axes: where they point, what they are called, their colours, and the view along each.
+/// Ends of the axes: their directions, names, colours, and the view along each.
 fn ends(up: Up) -> [(DVec3, &'static str, Color32, Standard); 6] {
     let [plus_y, minus_y, plus_z, minus_z] = match up {
         Up::Y => [Standard::Top, Standard::Bottom, Standard::Front, Standard::Back],
@@ -37,7 +37,7 @@ fn ends(up: Up) -> [(DVec3, &'static str, Color32, Standard); 6] {
     ]
 }
 
-/// Draws it, and looks along the axis that is clicked.
+/// Draws the axes, and looks along the one that is clicked.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let center = middle(rect);
     let area = Rect::from_center_size(center, Vec2::splat(2.0 * RADIUS));

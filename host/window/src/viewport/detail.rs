@@ -14,15 +14,15 @@ use std::sync::Arc;
 /// The radius of a splat that is not drawn.
 const HIDDEN: f32 = -1.0;
 
-/// The pieces that the card has, and what it shows of each.
+/// Pieces that the card has, by number, with the revision of each that is shown.
 #[derive(Default)]
 pub struct DetailPieces(BTreeMap<u64, u64>);
 
 impl DetailPieces {
-    /// Brings the card up to date.
+    /// Gives the card the pieces as they are now.
     ///
     /// # Errors
-    /// Never, for pieces that are whole.
+    /// Never an error for pieces that are whole.
     pub fn update(
         &mut self,
         scene: &mut Scene,
@@ -60,7 +60,7 @@ pub struct PieceSplats {
 }
 
 impl PieceSplats {
-    /// As the renderer takes it.
+    /// Splats of the piece, as the renderer takes them.
     pub fn surface(&self) -> SceneSurface<'_> {
         SceneSurface {
             positions: &self.batch.positions,
@@ -91,7 +91,8 @@ fn radii(piece: &DetailPiece) -> Vec<f32> {
     radii
 }
 
-/// Radii of the samples' discs, or the longer ones of their ellipses; none where vertices are shown instead.
+/// Radii of the samples' discs, or of the longer axes of their ellipses; negative where vertices are shown
+/// instead.
 pub fn sample_radii(spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>) -> Vec<f32> {
     let mut radii = disc_radii(spacing);
     radii.iter_mut().zip(axes).for_each(|(radius, [long, _])| *radius *= long.length());
@@ -114,7 +115,7 @@ pub fn radii_of(some: &[u32], spacing: &[f32], axes: &[[Vec3; 2]], detail: Optio
     radii
 }
 
-/// Dots where samples are that vertices are shown instead of.
+/// Dots at samples in whose place vertices are shown.
 pub fn sample_dots(positions: &[Vec3], detail: Option<&Detail>) -> Vec<Dot> {
     let covered = detail.map_or(&[][..], |detail| detail.covered());
     let dot = |position: &Vec3| Dot {
@@ -126,7 +127,7 @@ pub fn sample_dots(positions: &[Vec3], detail: Option<&Detail>) -> Vec<Dot> {
     positions.iter().zip(covered).filter(|(_, covered)| **covered).map(|(p, _)| dot(p)).collect()
 }
 
-/// Colours of samples beside vertices that are shown in full: a little other than these.
+/// Colours of samples beside vertices that are shown in full: the samples' own, mixed with a tint.
 pub fn sample_colors(samples: usize, colors: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
     let tinted = |color: [u8; 3]| theme::mixed(color, theme::SAMPLES, theme::SAMPLES_SHARE);
     match colors {

@@ -12,12 +12,12 @@ use simod_scene::{BadSurface, Budget, Gpu, Scene, SceneStyle, SceneSurface, Scen
 use simod_viewer::engine::{Emerged, SurfacePoints};
 use std::time::{Duration, Instant};
 
-/// How often those that came meanwhile are shown, at most ...
+/// Least pause between two pictures of the samples that came meanwhile ...
 const PAUSE: Duration = Duration::from_millis(200);
-/// ... with pauses this many times as long as drawing takes: in software, it holds the work up.
+/// ... and pauses are this many times as long as drawing takes: in software, drawing holds the work up.
 const SHARE: u32 = 2;
 
-/// The number of the vertices that are shown where there are no samples yet.
+/// Number of the piece of detail that holds the vertices which are shown where there are no samples yet.
 const VERTICES: u64 = 0;
 
 /// The points of a model that is being sampled, as they are drawn.
@@ -25,10 +25,10 @@ pub struct EmergingPoints {
     scene: Scene,
     budget: Budget,
     texture: Texture,
-    /// Up to which change they are shown, and since when.
+    /// Number of the last change that is shown, and the time since when.
     shown: u64,
     since: Option<Instant>,
-    /// How long the last picture took, and from where it was.
+    /// Duration of the last picture, and the view of it.
     took: Duration,
     seen: Option<SceneView>,
     bounds: [DVec3; 2],
@@ -52,7 +52,7 @@ impl EmergingPoints {
     /// A picture of the samples that there are so far.
     pub fn picture(&mut self, canvas: &ModelArea<'_>, window: &Window) -> Result<Shape, BadSurface> {
         let state = window.state();
-        // Once all are there they stay, until the model is shown.
+        // A picture of all samples stays, until the model is shown.
         let pause = PAUSE.max(SHARE * self.took);
         canvas.ctx().request_repaint_after(pause);
         if self.since.is_none_or(|since| since.elapsed() > pause) {
@@ -83,7 +83,8 @@ impl EmergingPoints {
         (self.bounds, self.seen) = (emerged.bounds, None);
         (self.shown, self.since) = (emerged.changes, Some(Instant::now()));
         let (samples, vertices) = (emerged.samples(), emerged.vertices());
-        // Beside each other, as of the samples only a part is drawn once they are many, by larger discs.
+        // Samples and vertices are drawn beside each other: once the samples are many, only a part of them
+        // is drawn, by larger discs.
         self.scene.set_surface(&surface(samples, &disc_radii(&samples.spacing)))?;
         let radii = disc_radii(&vertices.spacing);
         let vertices = (!vertices.positions.is_empty()).then(|| surface(vertices, &radii));
@@ -99,7 +100,7 @@ fn surface<'a>(
 }
 
 impl Theme {
-    /// What the renderer has behind the surface.
+    /// Background that the renderer has behind the surface.
     pub fn background(self) -> simod_scene::Background {
         match self {
             Self::Dark => simod_scene::Background::Dark,

@@ -15,7 +15,7 @@ use simod_viewer::motion::handle_matrix;
 use simod_viewer::skeleton::is_pin;
 use std::collections::{BTreeSet, HashMap};
 
-/// How near the pointer has to be, in points.
+/// Distance within which the pointer takes a handle, in points of the screen.
 const REACH: f32 = 11.0;
 
 /// The colour of dots that are not chosen.
@@ -26,12 +26,12 @@ struct HandleDot {
     target: MovedPart,
     at: Pos2,
     depth: f64,
-    /// Ends of the bone to it, where it hangs on another one: from where to where.
+    /// Ends of the bone that leads to the joint from its parent, on the screen, where it has one.
     bone: Option<[Pos2; 2]>,
 }
 
 impl HandleDot {
-    /// Whether it is of a pin, which nobody moves.
+    /// Whether the dot is of a pin, which nobody moves.
     fn is_pin(&self) -> bool {
         matches!(&self.target, MovedPart::Handle(id) if is_pin(id))
     }
@@ -50,14 +50,14 @@ fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
     let project = |p: DVec3| seen(frame.to_local_exact(p));
     let mut dots = Vec::new();
     for (i, region) in deformation.regions.iter().enumerate().filter(|(_, r)| r.role == Role::Handle) {
-        // Without a pivot of its own it would take all samples to find the middle.
+        // A region without a pivot is left out: it would take a pass over all samples to find its middle.
         let Some(pivot) = region.motion.pivot else { continue };
         if let Some((at, depth)) = project(handle_matrix(&region.motion, pivot).translation) {
             dots.push(HandleDot { target: MovedPart::Region(i), at, depth, bone: None });
         }
     }
     let placed = state.handles(step);
-    // Bones that an end bends are where the body is; what it reaches for is where the hand put it.
+    // Bones that an end bends are drawn in the body; the end's handle is drawn where the hand put it.
     let posed = state.posed(step).filter(|posed| posed.len() == placed.len());
     let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
     let place_of = |i: usize| match (posed, placed.get(i)?) {
@@ -65,7 +65,7 @@ fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
         (_, (_, place)) => project(place.position()),
     };
     for (i, (desc, place)) in placed.iter().enumerate() {
-        // An end is where the hand wants it, whether its bones get there or not.
+        // An end is drawn where the hand wants it, whether its bones get there or not.
         let is_end = posed.is_none() || placed.iter().all(|(other, _)| other.parent as usize != i);
         let shown = if is_end { project(place.position()) } else { place_of(i) };
         let Some((at, depth)) = shown else { continue };
@@ -89,7 +89,8 @@ fn nearest<'a>(canvas: &ModelArea<'_>, dots: &'a [HandleDot]) -> Option<&'a Hand
     near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
 }
 
-/// The colour and radius of a dot: smaller where there are `many`, fainter the farther it is, from 0 to 1.
+/// Colour and radius of a dot: smaller where there are `many`, fainter the farther it is, `far` from 0 to
+/// 1.
 fn look(chosen: bool, hovered: bool, many: bool, far: f32) -> (Color32, f32) {
     match (chosen, hovered) {
         (true, _) => (theme::color(theme::SELECTED), 6.0),
@@ -159,7 +160,7 @@ fn grid(canvas: &ModelArea<'_>, dots: &[HandleDot]) {
             let mut next = *place;
             next[axis] += 1;
             let Some(to) = places.get(&next) else { continue };
-            // The edges of the box that they make are what is seen of it first.
+            // The edges of the box around all points are the easiest to see.
             let is_edge = (0..3).all(|a| a == axis || place[a] == 0 || place[a] == last[a]);
             let (width, share) = if is_edge { (1.8, 0.8) } else { (1.0, 0.3) };
             canvas.painter().line_segment([*at, *to], Stroke::new(width, DOT.gamma_multiply(share)));
@@ -167,8 +168,8 @@ fn grid(canvas: &ModelArea<'_>, dots: &[HandleDot]) {
     }
 }
 
-/// The faces between handles that the plugin knows, with their edges: a cage. How far a depth is between that
-/// of the nearest dot, 0, and of the farthest one, 1, `far` says.
+/// Draws the faces between handles that the plugin gave, with their edges: a cage. `far` gives the place of
+/// a depth between that of the nearest dot, 0, and of the farthest one, 1.
 fn surface(canvas: &ModelArea<'_>, window: &Window, dots: &[HandleDot], far: impl Fn(f64) -> f32) {
     let own = window.chosen().and_then(|(step, ..)| window.state().own_handles(step));
     let Some(own) = own.filter(|own| !own.faces.is_empty()) else { return };
@@ -183,7 +184,7 @@ fn surface(canvas: &ModelArea<'_>, window: &Window, dots: &[HandleDot], far: imp
     let painter = canvas.painter();
     let mut edges = BTreeSet::new();
     for face in &own.faces {
-        // With a corner behind the eye it is not drawn.
+        // A face with a corner behind the eye is not drawn.
         let corners: Option<Vec<&HandleDot>> = face.iter().map(dot).collect();
         let Some(corners) = corners else { continue };
         // A fan, as the picture of a face that is bent need not be convex.
@@ -201,7 +202,7 @@ fn surface(canvas: &ModelArea<'_>, window: &Window, dots: &[HandleDot], far: imp
     }
 }
 
-/// A pin: its point is where it holds.
+/// Draws a pin, whose point is where it holds the body.
 fn pin(canvas: &ModelArea<'_>, at: Pos2, chosen: bool) {
     let color = if chosen { theme::SELECTED } else { theme::role_color(Role::Fixed) };
     let (head, color) = (at + vec2(0.0, -13.0), theme::color(color));
@@ -211,7 +212,7 @@ fn pin(canvas: &ModelArea<'_>, at: Pos2, chosen: bool) {
     canvas.painter().circle_filled(at, 1.8, color);
 }
 
-/// Thick at the parent, thin at the child, as bones are drawn.
+/// Draws a bone: thick at the parent, thin at the child.
 fn bone(canvas: &ModelArea<'_>, from: Pos2, to: Pos2) {
     let way = to - from;
     let side = way.normalized().rot90() * (0.08 * way.length()).clamp(2.0, 7.0);
@@ -236,8 +237,8 @@ pub fn joint_at(canvas: &ModelArea<'_>, window: &Window, pixel: glam::DVec2) -> 
     })
 }
 
-/// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there
-/// is one.
+/// Takes the handle under the pointer, or the handle region to which the surface there belongs. Returns
+/// whether there is one.
 pub fn take(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) -> bool {
     let dots = dots(canvas, window);
     let target = match nearest(canvas, &dots) {
@@ -254,7 +255,8 @@ pub fn take(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) ->
     found
 }
 
-/// Takes it instead of what is in the hand; with Shift besides, or no more if it is in the hand.
+/// Takes a handle instead of those in the hand; with Shift in addition to them, or out of the hand if it is
+/// in it.
 fn take_also(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, target: Option<MovedPart>) {
     let (Some(MovedPart::Handle(id)), Some((_, step, ..))) = (&target, window.chosen()) else {
         commands.then(|window| window.tools.target = target);
@@ -350,7 +352,7 @@ fn plane_under(canvas: &ModelArea<'_>, window: &Window, axis: &Axis, p: Pos2) ->
     }
 }
 
-/// The knobs of the planes follow the hand. Whether the pointer is theirs.
+/// Lets the knobs of the planes follow the hand. Returns whether the pointer belongs to the knobs.
 pub fn drag_planes(context: &mut ToolContext<'_>) -> bool {
     let (canvas, window) = (context.canvas, context.window);
     let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else {
@@ -371,7 +373,7 @@ pub fn drag_planes(context: &mut ToolContext<'_>) -> bool {
     };
     let moved = canvas.trail().last().copied();
     if let Some(place) = moved.and_then(|pixel| axis.place_under(window, pixel)) {
-        // One stays before the other: what lies between them is what happens.
+        // The first plane stays before the other one: the step works between them.
         let least = 1e-3 * axis.diagonal;
         let place =
             if plane == 0 { place.min(axis.places[1] - least) } else { place.max(axis.places[0] + least) };

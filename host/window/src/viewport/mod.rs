@@ -30,7 +30,7 @@ fn resize(window: &mut Window, pixels: egui::Vec2) {
     }
 }
 
-/// Shows it in what the panels left.
+/// Shows the picture in the part of the window that the panels left.
 pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
     CentralPanel::no_frame().show(ui, |ui| {
         let rect = ui.available_rect_before_wrap();
@@ -42,7 +42,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         resize(window, main.size() * pixels_per_point);
         viewport.tidy(window);
         let painter = ui.painter_at(main);
-        // Drawn first, and filled once the pointer has moved the camera.
+        // The part is drawn first, and filled once the pointer has moved the camera.
         let whole = ui.painter_at(rect);
         let picture = whole.add(egui::Shape::Noop);
         let over_corner = corner::contains(main, ui.ctx());
@@ -90,8 +90,8 @@ fn navigate(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
     window.draw(|window, commands| navigate::update(canvas, window, commands, tool));
 }
 
-/// Handles and tools follow the pointer, unless it only `looks`, and draw themselves. Whether the pointer is
-/// theirs, and not the camera's.
+/// Lets handles and tools follow the pointer, unless it only `looks`, and draw themselves. Returns whether
+/// the pointer belongs to them, and not to the camera.
 fn work(canvas: &ModelArea<'_>, looks: bool, window: &mut Window) -> bool {
     let mut taken = false;
     if window.looks.handles {

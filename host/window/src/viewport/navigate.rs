@@ -8,9 +8,9 @@ use simod_viewer::Command;
 use simod_viewer::command::CameraMove;
 use simod_viewer::navigation::{Button, Drag, Modifiers};
 
-/// Radians of a turn, for a point that the pointer moves.
+/// Radians of a turn for each point of the screen by which the pointer moves.
 const TURN: f64 = 0.0085;
-/// By how much things get larger for a notch of the wheel.
+/// Factor by which things get larger for a notch of the wheel.
 const NOTCH: f64 = 1.18;
 /// Radians of a turn by a key.
 const KEY_TURN: f64 = std::f64::consts::PI / 12.0;
@@ -21,7 +21,7 @@ const BUTTONS: [(PointerButton, Button); 3] = [
     (PointerButton::Secondary, Button::Right),
 ];
 
-/// With this tool in the hand.
+/// Moves the camera, with this tool in the hand.
 pub fn update(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: Tool) {
     drag(canvas, window, commands, tool);
     if canvas.is_hovered() {
@@ -58,7 +58,7 @@ fn drag(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: 
     commands.apply(Command::Camera(step));
 }
 
-/// What buttons do that the preset leaves to the tools, for those with one button or a pen.
+/// Drag of the camera by a button that the preset leaves to the tools, for those with one button or a pen.
 fn free(tool: Tool, button: Button, modifiers: Modifiers) -> Option<Drag> {
     match (button, modifiers) {
         (Button::Left, Modifiers { alt: true, .. }) => Some(Drag::Orbit),

@@ -1,4 +1,4 @@
-//! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
+//! The picture itself: keeps the graphics card's copy of the scene up to date where the scene changed.
 
 use super::ModelArea;
 use super::colors::SampleColors;
@@ -18,14 +18,14 @@ use simod_viewer::{ComparedVersion, Detail};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long a picture may take while something moves: with a card, and in software.
+/// Duration of a picture that is aimed at while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
 
-/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they
-/// have not moved for so long.
+/// Pause after which dragged samples are drawn more finely: while they move, they are drawn as finely as
+/// the time of a picture allows.
 const STILL: Duration = Duration::from_millis(150);
 
-/// How long a picture at rest may take, by what the budget knows, in seconds.
+/// Longest duration of a picture at rest that is drawn at once, by the budget's estimate, in seconds.
 const PATIENCE: f64 = 0.6;
 
 /// The pictures of both versions.
@@ -34,7 +34,7 @@ pub struct Viewport(Option<Pictures>);
 struct Pictures {
     render: RenderState,
     now: PictureDrawing,
-    /// While there is a pinned version, once it was shown.
+    /// Drawing of the pinned version, while there is one and once it was shown.
     pinned: Option<PictureDrawing>,
     /// Points of a model that is being opened.
     emerging: Option<EmergingPoints>,
@@ -43,31 +43,31 @@ struct Pictures {
 struct PictureDrawing {
     version: ComparedVersion,
     scene: Scene,
-    /// With how many pictures share a frame.
+    /// Number of pictures that share a frame, and the budget for that number.
     budget: (u32, Budget),
     texture: Texture,
     colors: SampleColors,
     shown: Option<Arc<simod_viewer::ViewerScene>>,
-    /// So many of its samples, of those that are drawn first, the card has.
+    /// Number of samples that the card has, of those that are drawn first.
     placed: usize,
-    /// When the picture became another one.
+    /// Time when the picture became another one.
     changed: Instant,
-    /// How far the surface of each sample goes at rest.
+    /// Extent of the surface around each sample at rest.
     extents: Vec<f32>,
-    /// What is kept of the samples that drafts draw.
+    /// Data kept of the samples that drafts draw.
     rings: Option<Rings>,
     pieces: DetailPieces,
-    /// What of the detail is shown.
+    /// Revision of the detail that is shown.
     detail: Option<u64>,
     ghost: bool,
-    /// Samples are dots over what is shown in full.
+    /// Whether samples are dots over vertices that are shown in full.
     dots: bool,
-    /// From where the last picture was, and its size.
+    /// View of the last picture, and its size.
     seen: Option<(Mat4, [u32; 2])>,
 }
 
 impl Viewport {
-    /// None in tests that have nothing to draw with.
+    /// Makes the pictures; none in tests that have nothing to draw with.
     pub fn new(render: Option<&RenderState>) -> Self {
         Self(render.map(|render| Pictures {
             render: render.clone(),
@@ -77,7 +77,7 @@ impl Viewport {
         }))
     }
 
-    /// The card went away: nothing is drawn any more.
+    /// Draws nothing any more, as the card went away.
     pub fn lose(&mut self) {
         self.0 = None;
     }
@@ -87,13 +87,12 @@ impl Viewport {
         ui.painter().add(background(rect, window.settings.theme));
     }
 
-    /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there
-    /// yet.
+    /// Picture of a model that is being opened; nothing where none is, or none of its samples is there yet.
     pub fn emerging(&mut self, canvas: &ModelArea<'_>, window: &Window) -> Option<Shape> {
         self.0.as_mut()?.emerging(canvas, window)
     }
 
-    /// What to draw where a version is. `share` is how many pictures share a frame.
+    /// Picture of a version at its place. `share` is the number of pictures that share a frame.
     pub fn picture(
         &mut self,
         rect: Rect,
@@ -189,7 +188,7 @@ impl PictureDrawing {
         let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
-        // The hand was quicker than the last picture: what it did comes first.
+        // The hand was quicker than the last picture: the events that wait come first.
         if window.is_catching_up() && self.shown.is_some() {
             return self.texture.show(rect);
         }
@@ -215,7 +214,7 @@ impl PictureDrawing {
             return self.texture.show(rect);
         }
         self.seen = from;
-        // At rest all is drawn at once, unless that would take too long to wait for.
+        // All splats are drawn at once at rest, unless that would take too long to wait for.
         let parts = self.scene.splats() as f64 / self.budget.1.splats() as f64;
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
         let reach = self.scene.reach(&view, &style, Some(&self.budget.1).filter(|_| !whole));
@@ -236,7 +235,7 @@ impl PictureDrawing {
         self.texture.show(rect)
     }
 
-    /// How the scene is drawn, as the window looks.
+    /// Style of the scene, as the window looks.
     fn style(&self, window: &Window) -> SceneStyle {
         SceneStyle {
             mode: window.mode(),
@@ -261,7 +260,7 @@ impl PictureDrawing {
         [min.as_dvec3(), max.as_dvec3()]
     }
 
-    /// Gives the card the samples at rest as a ghost, or takes that away.
+    /// Gives the card the samples at rest as a ghost, or takes the ghost away.
     fn upload_ghost(&mut self, samples: &SampleSet) -> Result<(), simod_scene::BadSurface> {
         let radii = disc_radii(&self.extents);
         let rest = SceneSurface {
@@ -273,7 +272,7 @@ impl PictureDrawing {
         self.scene.set_ghost(self.ghost.then_some(&rest))
     }
 
-    /// Brings what the card has up to date.
+    /// Brings the card's copy of the scene up to date.
     fn upload(
         &mut self,
         scene: &Arc<simod_viewer::ViewerScene>,
@@ -325,8 +324,8 @@ impl PictureDrawing {
         Ok(())
     }
 
-    /// Brings so many of the samples up to date that are drawn first. Of a draft others are not: the next one
-    /// comes before they are drawn.
+    /// Brings so many of the samples up to date that are drawn first. The others of a draft are left: the
+    /// next draft comes before they are drawn.
     fn place(
         &mut self,
         scene: &simod_viewer::ViewerScene,
@@ -352,7 +351,7 @@ impl PictureDrawing {
             return Ok(());
         }
         let some = self.scene.first(reach);
-        // The rings of the pictures that follow while the hand rests are others each time.
+        // The rings of the pictures that follow while the hand rests are different each time.
         let (is_first, mut once) = (self.placed == 0, None);
         let rings = if is_first { &mut self.rings } else { &mut once };
         Rings::keep(rings, &scene.sampled, &some);
@@ -377,7 +376,7 @@ impl PictureDrawing {
     }
 }
 
-/// What is shown where the card does not take what there is.
+/// Picture and message where the card does not take the scene.
 fn failed(error: simod_scene::BadSurface, rect: Rect, window: &Window, commands: &mut Commands) -> Shape {
     let hint = "save the session, and report this";
     let error = simod_model::Error::internal(error.to_string()).hinting(hint);

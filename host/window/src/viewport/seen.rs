@@ -1,4 +1,4 @@
-//! What the renderer takes, in the window and for pictures that are saved: the view, the discs' radii, the
+//! Input of the renderer, in the window and for pictures that are saved: the view, the discs' radii, the
 //! plane that cuts.
 
 use glam::{DVec3, Vec4};
@@ -9,7 +9,7 @@ use simod_viewer::camera::Camera;
 /// Radius of a disc over the spacing of samples: enough that no gap is left.
 const RADIUS: f32 = 1.35;
 
-/// From where a camera sees what is between two corners, in a picture of so many pixels.
+/// View of a box, between two corners, by a camera in a picture of so many pixels.
 pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> SceneView {
     SceneView {
         view: camera.view().as_mat4(),
@@ -18,12 +18,12 @@ pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> SceneView {
     }
 }
 
-/// The discs' radii of samples so far apart.
+/// Radii of discs for samples with these spacings.
 pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
     spacing.iter().map(|s| RADIUS * s).collect()
 }
 
-/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep
+/// Surface's mode unless the user says otherwise: triangles where the samples have any, as these keep
 /// together however they are stretched.
 pub fn mode_of(shown: &simod_viewer::ViewerScene) -> SurfaceMode {
     if shown.sampled.triangles.is_empty() { SurfaceMode::Splats } else { SurfaceMode::Triangles }

@@ -3,7 +3,7 @@
 use eframe::egui::{Color32, Rect, Shape, TextureId, pos2};
 use eframe::egui_wgpu::RenderState;
 
-/// A picture, for as long as this lives.
+/// Texture of a picture, which egui knows as long as this value lives.
 pub struct Texture {
     render: RenderState,
     known: Option<(TextureId, [u32; 2])>,
@@ -30,7 +30,7 @@ impl Texture {
         self.known = Some((id, size));
     }
 
-    /// Shows it; nothing before there is one.
+    /// Shape that shows the texture; nothing before there is a picture.
     pub fn show(&self, rect: Rect) -> Shape {
         let Some((id, _)) = self.known else { return Shape::Noop };
         let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));

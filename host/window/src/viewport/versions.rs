@@ -5,26 +5,26 @@ use crate::window::{Commands, Window};
 use eframe::egui::{Align2, Color32, FontId, Key, Modifiers, Pos2, Rect, Shape, Stroke, Ui, pos2, vec2};
 use simod_viewer::ComparedVersion;
 
-/// Between two pictures, in points.
+/// Gap between two pictures, in points of the screen.
 const GAP: f32 = 2.0;
 const MARGIN: f32 = 12.0;
-/// Held, it shows the pinned version.
+/// Key that shows the pinned version while it is held.
 const HOLD: Key = Key::X;
 
-/// Where each version is shown.
+/// Place of each version's picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VersionRects {
-    /// The one that is worked on.
+    /// Place of the version that is worked on.
     pub now: Option<Rect>,
-    /// The one that is pinned.
+    /// Place of the version that is pinned.
     pub pinned: Option<Rect>,
 }
 
 impl VersionRects {
-    /// In the part of the window that shows the model.
+    /// Divides the part of the window that shows the model.
     pub fn divide(rect: Rect, window: &Window) -> Self {
         let state = window.state();
-        // While another model is opened, that one is shown.
+        // While another model is opened, that model is shown.
         if state.is_opening() || state.scene_of(ComparedVersion::Pinned).is_none() {
             return Self { now: Some(rect), pinned: None };
         }
@@ -34,7 +34,7 @@ impl VersionRects {
         if !window.looks.side_by_side {
             return Self { now: Some(rect), pinned: None };
         }
-        // Both have as many pixels.
+        // Both pictures have as many pixels.
         let pixel = 1.0 / window.ctx().pixels_per_point();
         let width = (0.5 * (rect.width() - GAP) / pixel).floor() * pixel;
         let size = vec2(width, rect.height());
@@ -45,12 +45,12 @@ impl VersionRects {
         }
     }
 
-    /// The one that the camera's picture is as large as.
+    /// Place of the picture whose size the camera has.
     pub fn main(&self) -> Option<Rect> {
         self.now.or(self.pinned)
     }
 
-    /// The picture that the pointer is at: where it was pressed, if it is held.
+    /// Version whose picture is under the pointer, or under the place of the press while a button is held.
     pub fn under(&self, ui: &Ui) -> Option<ComparedVersion> {
         let at: Pos2 = ui.input(|i| {
             let pressed = i.pointer.press_origin().filter(|_| i.pointer.any_down());
@@ -64,7 +64,7 @@ impl VersionRects {
         }
     }
 
-    /// What is shown of each.
+    /// Pictures of the versions.
     pub fn pictures(&self, viewport: &mut Viewport, window: &Window, commands: &mut Commands) -> Vec<Shape> {
         let both = [(ComparedVersion::Pinned, self.pinned), (ComparedVersion::Now, self.now)];
         let shown: Vec<_> = both.into_iter().filter_map(|(version, rect)| Some((version, rect?))).collect();
@@ -74,7 +74,7 @@ impl VersionRects {
     }
 }
 
-/// Whether the key is held, and nobody else wants it.
+/// Whether the key for the pinned version is held, and nobody else wants that key; or its button is held.
 fn is_held(window: &Window) -> bool {
     let ctx = window.ctx();
     let held = ctx.input(|i| i.key_down(HOLD) && i.modifiers.matches_exact(Modifiers::NONE));
@@ -82,7 +82,7 @@ fn is_held(window: &Window) -> bool {
     window.holds_pinned || held && !ctx.egui_wants_keyboard_input() && !window.is_asking()
 }
 
-/// The line between two pictures, and what each of them is.
+/// Draws the line between two pictures, and the caption of each.
 pub fn captions(ui: &Ui, rect: Rect, places: &VersionRects, window: &Window) {
     let Some(name) = window.state().pinned() else { return };
     let pinned = format!("Pinned: {name}");

@@ -11,7 +11,7 @@ use simod_viewer::overlay::OverlayScale;
 pub struct Mixing {
     /// The part of the colour that is left.
     keep: f32,
-    /// The colour that comes to it.
+    /// Colour that is added.
     add: [f32; 3],
 }
 
@@ -19,13 +19,13 @@ impl Mixing {
     /// The mixing that changes nothing.
     pub const NONE: Self = Self { keep: 1.0, add: [0.0; 3] };
 
-    /// With a share of another colour over it.
+    /// The same mixing with a share of another colour over it.
     pub fn with(self, color: [u8; 3], share: f32) -> Self {
         let add = |i: usize| self.add[i] * (1.0 - share) + f32::from(color[i]) * share;
         Self { keep: self.keep * (1.0 - share), add: [0, 1, 2].map(add) }
     }
 
-    /// What becomes of a colour.
+    /// Mixed colour that a colour becomes.
     pub fn applied_to(self, color: [u8; 3]) -> [u8; 3] {
         std::array::from_fn(|i| (f32::from(color[i]) * self.keep + self.add[i]).round() as u8)
     }
@@ -36,15 +36,15 @@ impl Mixing {
 pub struct VertexColors<'a> {
     /// Colours that samples have, if they are not all the same.
     pub samples: Option<&'a [[u8; 3]]>,
-    /// What is done to the colour of each sample, if anything is.
+    /// Mixing of each sample's colour, if any colour is mixed.
     pub mixing: Option<&'a [Mixing]>,
-    /// What is shown of the vertices themselves, and what numbers look like.
+    /// Attribute or colour of the vertices themselves that is shown, and the colour scale of its numbers.
     pub tint: Tint,
     pub scale: Option<OverlayScale>,
 }
 
 impl<'a> VertexColors<'a> {
-    /// Where samples have these, and nothing is done to them.
+    /// Colours of vertices whose samples have these colours, not mixed.
     pub fn new(samples: Option<&'a [[u8; 3]]>, tint: Tint, scale: Option<OverlayScale>) -> Self {
         Self { samples, mixing: None, tint, scale }
     }

@@ -173,7 +173,7 @@ pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) 
     asked
 }
 
-/// Three decimals; what they do not show is not to be read as minus zero.
+/// Number with three decimals; minus zero is written as zero.
 fn short(x: f64) -> String {
     let text = format!("{x:.3}");
     if text == "-0.000" { "0.000".to_owned() } else { text }

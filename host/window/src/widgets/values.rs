@@ -1,10 +1,10 @@
-//! Values of parameters, as a session has them, and what the user asks for.
+//! Values of parameters, as a session has them, and the user's requests for others.
 
 use simod_model::bounds::Bounds;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
 
-/// What the user asks for.
+/// Request of the user.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ListRequest {
     /// Another value; nothing for the default.
@@ -22,7 +22,7 @@ pub fn as_number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
 }
 
-/// So many numbers, if they are no others.
+/// The N numbers of a value that is a list of just so many.
 pub fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = value.as_array()?.iter().map(as_number).collect();
     numbers?.try_into().ok()

@@ -9,17 +9,17 @@ use std::time::SystemTime;
 
 /// A question that has to be answered before something goes on.
 pub enum Question {
-    /// The edit is not saved, and this would lose it.
+    /// The edit is not saved, and leaving it would lose it.
     Unsaved(Leaving),
     /// An edit of this path was kept against a crash.
     Recover(KeptEdit),
-    /// The model of what was opened is not where it was.
+    /// The model of the opened session or folder is not at its place.
     Moved {
         /// The path that was opened.
         path: PathBuf,
         /// The place where the model was.
         model: PathBuf,
-        /// The model is open nevertheless, by its samples.
+        /// Whether the model is open nevertheless, by its samples.
         is_open: bool,
     },
 }
@@ -27,16 +27,16 @@ pub enum Question {
 /// An edit that was kept against a crash.
 #[derive(Clone)]
 pub struct KeptEdit {
-    /// The path of what was edited.
+    /// Path of the session or model that was edited.
     pub path: PathBuf,
-    /// The way in which it is sampled.
+    /// Sampling of the model.
     pub sampling: SamplingTable,
-    /// When it was kept, and how many steps it has.
+    /// Time when the edit was kept, and its number of steps.
     pub made: SystemTime,
     pub steps: usize,
 }
 
-/// What was about to be done when there was something to be saved.
+/// Action that waits until the user has said whether to save.
 #[derive(Clone)]
 pub enum Leaving {
     /// The window is closed.
@@ -50,7 +50,7 @@ pub enum Leaving {
 pub struct Renaming {
     /// The step, or the first one of the group.
     pub id: StepId,
-    /// Whether it is of the group that begins with the step.
+    /// Whether the name is of the group that begins with the step.
     pub of_group: bool,
     /// The name so far.
     pub text: String,
@@ -71,9 +71,9 @@ pub struct CommandPalette {
 pub struct WriteReport {
     /// The file.
     pub output: PathBuf,
-    /// What was found while it was written.
+    /// Figures of the reconstruction.
     pub report: Reconstructed,
-    /// The time that it took.
+    /// Seconds that the writing took.
     pub seconds: f64,
 }
 
@@ -85,6 +85,6 @@ pub struct RunningLesson {
     pub part: usize,
     /// The lesson's model.
     pub model: PathBuf,
-    /// Where the camera was when the part began.
+    /// Camera at the time when the part began.
     pub began: Option<Camera>,
 }

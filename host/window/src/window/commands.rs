@@ -1,5 +1,5 @@
-//! What panels and tools ask for. They see the window as it is, and change nothing themselves: what the user
-//! does there becomes a command, and is done once the panel is drawn.
+//! Commands of panels and tools. Panels and tools see the window as it is, and change nothing themselves: an
+//! action of the user there becomes a command, which is done once the panel is drawn.
 
 use super::Window;
 use crate::settings::WindowSettings;
@@ -9,34 +9,35 @@ use simod_viewer::Command;
 /// Something that is to be done with the window.
 type WindowCommand = Box<dyn FnOnce(&mut Window)>;
 
-/// What is to be done with the window, first to last.
+/// List of commands to the window, first to last.
 #[derive(Default)]
 pub struct Commands(Vec<WindowCommand>);
 
 impl Commands {
-    /// Anything.
+    /// Adds any command.
     pub fn then(&mut self, command: impl FnOnce(&mut Window) + 'static) {
         self.0.push(Box::new(command));
     }
 
-    /// What others hold, after these.
+    /// Adds the commands that others hold, after these.
     pub fn append(&mut self, others: Self) {
         self.0.extend(others.0);
     }
 
-    /// What a part of the window asks for that sees it as the commands before have left it.
+    /// Adds the commands of a part of the window, which sees the window as the commands before have left
+    /// it.
     pub fn then_draw(&mut self, part: impl FnOnce(&Window, &mut Self) + 'static) {
         self.then(|window| window.draw(part));
     }
 
-    /// A [command](Window::apply).
+    /// Adds a [command](Window::apply).
     pub fn apply(&mut self, command: Command) {
         self.then(|window| {
             window.apply(command);
         });
     }
 
-    /// A [command](Window::apply), and what follows it if it was done.
+    /// Adds a [command](Window::apply), and what follows if the command was done.
     pub fn apply_then(&mut self, command: Command, follows: impl FnOnce(&mut Window) + 'static) {
         self.then(|window| {
             if window.apply(command) {
@@ -45,7 +46,7 @@ impl Commands {
         });
     }
 
-    /// Other settings, which are kept.
+    /// Adds a change of the settings, which are kept.
     pub fn set(&mut self, change: impl FnOnce(&mut WindowSettings) + 'static) {
         self.then(|window| {
             change(&mut window.settings);
@@ -53,7 +54,7 @@ impl Commands {
         });
     }
 
-    /// A [change](Window::change) of a step, or a drag of something of it.
+    /// Adds a [change](Window::change) of a step, or a drag of something of the step.
     pub fn change(&mut self, at: usize, change: Change, dragging: bool) {
         self.then(move |window| {
             window.change(at, change, dragging);
@@ -62,7 +63,7 @@ impl Commands {
 }
 
 impl Window {
-    /// Draws a part of the window, and does the commands that come of it. What the part says.
+    /// Draws a part of the window, and does the commands that come of the part. Returns the part's result.
     pub fn draw<T>(&mut self, part: impl FnOnce(&Self, &mut Commands) -> T) -> T {
         let mut commands = Commands::default();
         let said = part(self, &mut commands);

@@ -1,6 +1,6 @@
 //! Things that are shown besides the surface, as the user chose them.
 
-/// What is shown besides the surface.
+/// Choice of the things that are shown besides the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Looks {
     /// Triangles or discs, where the user said which; see [`Window::mode`](super::Window::mode).
@@ -15,7 +15,7 @@ pub struct Looks {
     pub handles: bool,
     /// The pinned version beside the one that is worked on.
     pub side_by_side: bool,
-    /// The pinned version in its place.
+    /// The pinned version in the place of the one that is worked on.
     pub pinned_in_place: bool,
 }
 

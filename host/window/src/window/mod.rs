@@ -1,4 +1,4 @@
-//! The state, and what is the window's own.
+//! The window: the viewer's state, and the parts that are the window's own.
 
 mod asked;
 mod commands;
@@ -35,7 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 pub use toasts::{Cause, Toast, Toasts};
 
-/// How often an edit is kept against a crash.
+/// Time between two savings of an edit against a crash.
 const KEEP: Duration = Duration::from_secs(20);
 
 /// A path that is being opened.
@@ -54,21 +54,21 @@ pub struct Window {
     waits: Arc<AtomicBool>,
     /// The user's settings.
     pub settings: WindowSettings,
-    /// The tools, and which one is in the hand.
+    /// The tools, and the one in the hand.
     pub tools: Tools,
     /// The things that are shown.
     pub looks: Looks,
     /// Whether a button is held that shows the pinned version.
     pub holds_pinned: bool,
-    /// What is asked before a turntable is drawn, while it is.
+    /// Question before a turntable is drawn, while it is asked.
     pub turntable: Option<AskedTurntable>,
-    /// What is asked before a picture is drawn, while it is.
+    /// Question before a picture is drawn, while it is asked.
     pub picture: Option<AskedPicture>,
-    /// What makes a film of the last turntable, while it is read.
+    /// Frames of the last turntable, while the user reads how to make a film of them.
     pub film: Option<Film>,
     /// The turntable or picture that is being drawn.
     pub turning: Option<Turning>,
-    /// One that was stopped, until the frame that it was at is drawn.
+    /// Turntable that was stopped, until the frame in progress is drawn.
     pub stopping: Option<Turning>,
     /// The lesson that is being done.
     pub lesson: Option<RunningLesson>,
@@ -76,7 +76,7 @@ pub struct Window {
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
     pub palette: Option<CommandPalette>,
-    /// What became of the model that was written last, while it is read.
+    /// Report on the model that was written last, while the user reads it.
     pub report: Option<WriteReport>,
     /// The list of keys, while it is read.
     pub shows_keys: bool,
@@ -88,23 +88,23 @@ pub struct Window {
     pub prompt: Option<Prompt>,
     /// The question to be answered first.
     pub question: Option<Question>,
-    /// How dialogs for files are shown.
+    /// Function that shows dialogs for files.
     pub chooser: Chooser,
     dialog: Option<Dialog>,
     leaving: bool,
-    /// What goes on once the edit is saved.
+    /// Action that goes on once the edit is saved.
     after: Option<Leaving>,
     title: String,
     opened: Option<PathBuf>,
-    /// What was opened and is still to come.
+    /// Path that was opened and whose model is still to come.
     awaited: Option<Awaited>,
     /// The revision of the scene that was looked at last.
     seen: u64,
     recorded: VecDeque<Command>,
     kept: Instant,
-    /// How long the last picture took, for the status line.
+    /// Duration of the last picture, for the status line.
     pub frame_time: Duration,
-    /// How much of what there is the picture shows.
+    /// Share of the surface that the picture shows.
     pub drawn: SurfaceShare,
 }
 
@@ -161,7 +161,7 @@ impl Window {
         &self.state
     }
 
-    /// egui's.
+    /// Context of egui.
     pub fn ctx(&self) -> &egui::Context {
         &self.ctx
     }
@@ -188,7 +188,7 @@ impl Window {
         self.waits.load(Ordering::Relaxed)
     }
 
-    /// How samples are drawn: as the user said, or as is best for what is open.
+    /// Surface's mode: as the user said, or as is best for the open model.
     pub fn mode(&self) -> SurfaceMode {
         match (self.looks.triangles, self.state.scene()) {
             (Some(true), _) => SurfaceMode::Triangles,
@@ -197,7 +197,7 @@ impl Window {
         }
     }
 
-    /// Does a command; an error is shown to the user. Whether it was done.
+    /// Does a command; an error is shown to the user. Returns whether the command was done.
     pub fn apply(&mut self, command: Command) -> bool {
         // Looking around mends nothing.
         let mends = !matches!(command, Command::Camera(_) | Command::Resize { .. } | Command::Cancel { .. });
@@ -222,7 +222,8 @@ impl Window {
         self.state.document().map(|document| document.steps().clone()).unwrap_or_default()
     }
 
-    /// The chosen step, if it deforms: its place, which it is, what it does, and its plugin, if it is there.
+    /// The chosen step, if it deforms: its place, its id, its deformation, and its plugin, if that is
+    /// there.
     pub fn chosen(&self) -> Option<(usize, StepId, Deformation, Option<Arc<Plugin>>)> {
         let at = self.state.chosen()?;
         let steps = self.steps();
@@ -232,12 +233,12 @@ impl Window {
         Some((at, entry.id, deformation, plugin))
     }
 
-    /// Takes what is new. To be called before each picture.
+    /// Takes the news of the viewer's state. To be called before each picture.
     pub fn update(&mut self) {
         self.toasts.leave_old();
         self.state.poll();
         let notices = self.state.take_notices();
-        // What is there now takes the messages along that it was not.
+        // A new scene removes the errors of jobs that had failed to make one.
         let revision = self.state.scene().map_or(0, |scene| scene.revision);
         if std::mem::replace(&mut self.seen, revision) != revision {
             self.toasts.leave(Cause::Job(Job::Evaluate));
@@ -282,7 +283,7 @@ impl Window {
         self.ctx.request_repaint_after(KEEP);
     }
 
-    /// A job came to nothing.
+    /// Tells the user of a job that failed.
     fn failed(&mut self, job: Job, error: &Error) {
         let cancelled = error.kind() == ErrorKind::Cancelled;
         if job == Job::Open
@@ -305,7 +306,7 @@ impl Window {
         }
     }
 
-    /// What was opened is there.
+    /// Takes note of a model that was opened and is there now: remembers its path, and chooses a step.
     fn is_there(&mut self, Awaited { path, recover, .. }: Awaited) {
         self.settings.remember(&path);
         self.keep_settings();
@@ -321,13 +322,14 @@ impl Window {
         }
     }
 
-    /// How much a picture shows, and how long it took, where these are known.
+    /// Notes the share of the surface that a picture shows, and the picture's duration, where these are
+    /// known.
     pub fn tell_drawn(&mut self, drawn: Option<SurfaceShare>, took: Option<Duration>) {
         self.drawn = drawn.unwrap_or(self.drawn);
         self.frame_time = took.unwrap_or(self.frame_time);
     }
 
-    /// No turntable is wanted any more.
+    /// Stops the turntable that is drawn.
     pub fn stop_turning(&mut self) {
         if let Some(turning) = self.turning.take() {
             turning.cancel();
@@ -336,7 +338,7 @@ impl Window {
         }
     }
 
-    /// The window is called as what is open.
+    /// Gives the window the name of the open session or model.
     fn name(&mut self) {
         let path = self.state.editor().and_then(|editor| editor.path().or(editor.model()));
         let name =
@@ -356,7 +358,7 @@ impl Window {
         self.state.set_plugins(Arc::new(plugins));
     }
 
-    /// The last step that deforms is what somebody goes on with who opens a session.
+    /// Chooses the last step that deforms: with it, somebody goes on who opens a session.
     fn choose_last(&mut self) {
         let step = self.steps().iter().rposition(|entry| entry.step.deformation().is_some());
         if step.is_some() && self.state.chosen().is_none() {
@@ -398,7 +400,7 @@ impl Window {
         self.ask_to_open_sampled(path, sampling);
     }
 
-    /// Opens something, sampled so if it is a model, after questions that have to be asked before.
+    /// Opens something, with this sampling if it is a model, after questions that have to be asked before.
     pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: SamplingTable) {
         self.after = None;
         if self.is_unsaved() {
@@ -408,7 +410,7 @@ impl Window {
         }
     }
 
-    /// Opens something; what was kept of it against a crash is offered.
+    /// Opens something; an edit of it that was kept against a crash is offered.
     pub fn open(&mut self, path: PathBuf, sampling: SamplingTable, recover: bool) {
         let made = state::kept_at(&path).filter(|_| !recover);
         match made.map(|made| (made, state::recoverable(&path))) {
@@ -425,7 +427,7 @@ impl Window {
         }
     }
 
-    /// Opens something without what was kept of it, which goes away.
+    /// Opens something without its kept edit, which goes away.
     pub fn open_without(&mut self, kept: &KeptEdit) {
         if let Err(error) = state::forget(&kept.path) {
             self.toasts.error(&error);
@@ -433,7 +435,7 @@ impl Window {
         self.open_now(kept.path.clone(), kept.sampling, false);
     }
 
-    /// Opens it, whatever was kept.
+    /// Opens something, whatever was kept.
     pub fn open_now(&mut self, path: PathBuf, sampling: SamplingTable, recover: bool) {
         if !path.exists() {
             let what = format!("there is no file {}", path.display());
@@ -458,7 +460,7 @@ impl Window {
         }
     }
 
-    /// What was asked for last to be opened.
+    /// Path that was asked for last to be opened.
     pub fn opened(&self) -> Option<&Path> {
         self.opened.as_deref()
     }
@@ -471,14 +473,14 @@ impl Window {
         }
     }
 
-    /// Keeps what the user likes.
+    /// Writes the user's settings.
     pub fn keep_settings(&mut self) {
         if let Err(error) = self.settings.save() {
             self.toasts.error(&error);
         }
     }
 
-    /// The window is to be closed: whether it may be now.
+    /// Whether the window may be closed now; if not, the user is asked about the edit that is not saved.
     pub fn may_close(&mut self) -> bool {
         if self.leaving || !self.is_unsaved() {
             return true;
@@ -487,7 +489,7 @@ impl Window {
         false
     }
 
-    /// What was about to be done goes on, without saving.
+    /// Does what waited for the user's answer, without saving.
     pub fn leave(&mut self, leaving: Leaving) {
         match leaving {
             Leaving::Close => {
@@ -498,7 +500,8 @@ impl Window {
         }
     }
 
-    /// What was about to be done goes on, and the edit goes away, with what was kept of it against a crash.
+    /// Does what waited for the user's answer, and lets go of the edit, with the copy that was kept against
+    /// a crash.
     pub fn discard(&mut self, leaving: Leaving) {
         if let Err(error) = self.state.discard() {
             self.toasts.error(&error);
@@ -506,7 +509,7 @@ impl Window {
         self.leave(leaving);
     }
 
-    /// Saves; asks where to if that is not known. Whether it was saved at once.
+    /// Saves the session, or asks for its path if that is not known. Returns whether it was saved at once.
     pub fn save(&mut self) -> bool {
         if self.state.editor().is_some_and(|editor| editor.path().is_some()) {
             let saved = self.apply(Command::Save { path: None });
@@ -519,8 +522,8 @@ impl Window {
         false
     }
 
-    /// Saves, and goes on with what was about to be done; where it is not known where to, the dialog comes
-    /// first.
+    /// Saves, and goes on with the action that waited; where the session's path is not known, the dialog
+    /// comes first.
     pub fn save_and_leave(&mut self, leaving: Leaving) {
         if self.save() {
             self.leave(leaving);
@@ -529,7 +532,7 @@ impl Window {
         }
     }
 
-    /// Commands for a file.
+    /// Shows a dialog for a file.
     pub fn ask(&mut self, purpose: Purpose) {
         let editor = self.state.editor();
         let beside = |name: &str| {
@@ -584,12 +587,12 @@ impl Window {
         }
     }
 
-    /// No file was chosen: what was to come after it does not.
+    /// Lets go of the action that waited for a file, as none was chosen.
     pub fn not_answered(&mut self) {
         self.after = None;
     }
 
-    /// A file was chosen.
+    /// Goes on with the file that was chosen.
     pub fn answered(&mut self, purpose: Purpose, path: PathBuf) {
         match purpose {
             Purpose::Open | Purpose::OpenFolder => self.ask_to_open(path),

@@ -10,32 +10,32 @@ const OFFERED: usize = 200;
 pub struct Prompt {
     /// The purpose of the path.
     pub purpose: Purpose,
-    /// So far.
+    /// Text so far.
     pub text: String,
-    /// Why it is typed.
+    /// Reason why the path is typed instead of chosen.
     pub why: String,
-    /// What is wrong with it.
+    /// Defect of the typed path, in words.
     pub wrong: Option<String>,
-    /// The folder that was looked into last, with what is in it.
+    /// Folder that was looked into last, with its content.
     listed: Option<(PathBuf, Vec<String>)>,
     /// The part of the text that is selected next, if any is.
     pub select: Option<[usize; 2]>,
 }
 
 impl Prompt {
-    /// One that begins with a path, which is selected.
+    /// Prompt that begins with a path, which is selected.
     pub fn new(purpose: Purpose, at: Option<&Path>, why: &str) -> Self {
         let text = at.map_or_else(String::new, |path| path.display().to_string());
         let select = Some([0, text.chars().count()]);
         Self { purpose, text, why: why.to_owned(), wrong: None, listed: None, select }
     }
 
-    /// The path that is there.
+    /// Path that is typed so far.
     pub fn path(&self) -> PathBuf {
         at_home(self.text.trim())
     }
 
-    /// Names in the folder so far that begin as the last one does; folders end with a separator.
+    /// Names in the typed folder that begin as the last name does; folders end with a separator.
     pub fn completions(&mut self) -> Vec<String> {
         let (folder, begun) = parts(&self.text);
         let looked = if folder.is_empty() { PathBuf::from(".") } else { at_home(folder) };
@@ -48,7 +48,7 @@ impl Prompt {
         all.filter(fits).take(OFFERED).cloned().collect()
     }
 
-    /// Goes on with a name.
+    /// Completes the text with a name.
     pub fn complete(&mut self, name: &str) {
         let (folder, _) = parts(&self.text);
         self.text = format!("{folder}{name}");
@@ -56,7 +56,7 @@ impl Prompt {
         (self.select, self.wrong) = (Some([end, end]), None);
     }
 
-    /// What is wrong with the path, if anything is.
+    /// Defect of the path, in words, if it has any.
     pub fn defect(&self) -> Option<String> {
         let path = self.path();
         if self.text.trim().is_empty() {
@@ -76,7 +76,7 @@ impl Prompt {
     }
 }
 
-/// The text up to the last separator, and what is behind it.
+/// Text up to the last separator, and the rest.
 fn parts(text: &str) -> (&str, &str) {
     text.split_at(text.rfind(['/', MAIN_SEPARATOR]).map_or(0, |at| at + 1))
 }

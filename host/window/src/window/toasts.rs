@@ -5,9 +5,9 @@ use simod_model::Error;
 use simod_viewer::engine::Job;
 use std::time::{Duration, Instant};
 
-/// How long a note stays, and an error.
+/// Time for which a note stays, and an error.
 const STAYS: [Duration; 2] = [Duration::from_secs(5), Duration::from_secs(20)];
-/// How many there are at most.
+/// Greatest number of messages.
 const MOST: usize = 5;
 
 /// A message.
@@ -16,7 +16,7 @@ pub struct Toast {
     pub text: String,
     /// The advice; may be empty.
     pub hint: String,
-    /// Whether something came to nothing.
+    /// Whether the message tells of a failure.
     pub is_error: bool,
     /// The cause, with which the message goes away once it is mended.
     cause: Option<Cause>,
@@ -29,12 +29,12 @@ impl Toast {
     }
 }
 
-/// What an error came of.
+/// Cause of an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cause {
     /// A command that could not be done: the next one mends it.
     Command,
-    /// A job that came to nothing, until it does not.
+    /// A job that failed, until it succeeds.
     Job(Job),
 }
 
@@ -43,23 +43,23 @@ pub enum Cause {
 pub struct Toasts(Vec<Toast>);
 
 impl Toasts {
-    /// Good to know.
+    /// Adds a note.
     pub fn note(&mut self, text: impl Into<String>) {
         self.push(text.into(), String::new(), false, None);
     }
 
-    /// Something came to nothing.
+    /// Adds an error.
     pub fn error(&mut self, error: &Error) {
         self.push(error.to_string(), error.hint().to_owned(), true, None);
     }
 
-    /// Something came to nothing, which may be mended.
+    /// Adds an error whose cause may be mended.
     pub fn error_of(&mut self, cause: Cause, error: &Error) {
         let [text, hint] = [&error.to_string(), error.hint()].map(|text| in_window(text, None));
         self.push(text, hint, true, Some(cause));
     }
 
-    /// What some errors came of is mended.
+    /// Removes the errors with a cause that is mended.
     pub fn leave(&mut self, cause: Cause) {
         self.0.retain(|toast| toast.cause != Some(cause));
     }
@@ -69,18 +69,18 @@ impl Toasts {
         self.0.retain(|toast| toast.since.elapsed() < toast.stays());
     }
 
-    /// All of them, and how long until the first one goes.
+    /// All messages, and the time until the first one goes.
     pub fn shown(&self) -> (&[Toast], Option<Duration>) {
         let left = self.0.iter().map(|toast| toast.stays().saturating_sub(toast.since.elapsed())).min();
         (&self.0, left)
     }
 
-    /// Takes one away.
+    /// Removes a message.
     pub fn close(&mut self, i: usize) {
         self.0.remove(i);
     }
 
-    /// What is there to be read.
+    /// Texts of the messages.
     pub fn texts(&self) -> impl Iterator<Item = &str> {
         self.0.iter().map(|toast| toast.text.as_str())
     }

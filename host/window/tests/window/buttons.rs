@@ -1,4 +1,4 @@
-//! Every button once, in whatever order they stand: whatever comes of it, it is no mistake of the program.
+//! Every button once, in whatever order they stand: whatever a click does, it is no mistake of the program.
 
 use super::*;
 use egui_kittest::Node;
@@ -8,7 +8,7 @@ use simod_viewer::command::Area;
 use simod_window::dialogs::DialogAnswer;
 use std::collections::BTreeSet;
 
-/// What takes the edit away, or all the time that there is; these have tests of their own.
+/// Buttons that take the edit away, or all the time that there is; these have tests of their own.
 const LEFT_OUT: [&str; 4] = ["Quit", "Render", "Save", "Open the Example"];
 
 fn label(node: &Node<'_>) -> Option<String> {
@@ -32,7 +32,7 @@ fn click(harness: &mut Harness<'_, App>, name: &str) {
     assert!(!told.iter().any(|text| text.contains("mistake in the program")), "{name}: {told:?}");
 }
 
-/// What a click has opened, and what that has opened, is closed; and the step is chosen again.
+/// Closes what a click has opened, and what came of that; and chooses the step again.
 fn close(harness: &mut Harness<'_, App>, chosen: usize) {
     for _ in 0..2 {
         harness.key_press(egui::Key::Escape);
@@ -64,7 +64,7 @@ fn every_button_once() {
     for chosen in 0..5 {
         let mut harness = window();
         harness.set_size(egui::vec2(1440.0, 1700.0));
-        // Where the system has no dialogs, paths are asked for in the window, and nobody answers.
+        // The system has no dialogs, so that paths are asked for in the window, and nobody answers.
         harness.state_mut().window_mut().chooser =
             Arc::new(|_, _, _| DialogAnswer::Absent("there are none".to_owned()));
         edit(&mut harness, &path);
@@ -74,7 +74,7 @@ fn every_button_once() {
             click(&mut harness, &name);
             clicked.insert(name.clone());
             assert!(clicked.len() < 600, "buttons have other names each time: {clicked:?}");
-            // What a menu has.
+            // Entries of the menu that the click has opened.
             let entries: Vec<String> = labels(&harness).difference(&before).cloned().collect();
             for entry in entries {
                 if clicked.insert(entry.clone()) {

@@ -197,7 +197,7 @@ fn a_turntable_is_whole_or_not_there() {
     let mean = sum as f64 / (3 * front.pixels().len()) as f64;
     assert!(mean < 1.0, "{mean} of 255");
 
-    // What is not a turntable stays.
+    // A file that is no frame stays in the folder.
     std::fs::write(turn.join("notes.txt"), "").unwrap();
     let error = turntable::write(&shot, &turn, 2, &Silent).unwrap_err();
     assert!(error.to_string().contains("notes.txt") && names(&turn).len() == 4, "{error}");

@@ -49,7 +49,7 @@ fn what_is_seen_or_selected_is_shown_in_full_by_a_key() {
     assert!(figures(&harness).is_none());
 }
 
-/// What a window looks like, which is kept where somebody wants to see it.
+/// Picture of the window, which is also saved where somebody wants to see it.
 fn picture(harness: &mut Harness<'_, App>, name: &str) -> Image {
     harness.run_steps(8);
     let shown = harness.render().unwrap();
@@ -139,10 +139,10 @@ fn splats_are_ellipses_in_their_colours() {
     press(&mut harness, egui::Modifiers::NONE);
     let splats = picture(&mut harness, "splats.png");
     let [covered, left] = [&samples, &splats].map(|picture| of(picture, &red) + of(picture, &blue));
-    // What is between narrow ellipses is seen through.
+    // Gaps between narrow ellipses are seen through.
     assert!(left > 5000 && left < covered * 9 / 10, "{left} of {covered}");
-    // Each has its own colour, where a sample's is mixed of both, too; its edge is smoothed against what is
-    // beneath.
+    // Each splat has its own colour, where a sample's is mixed of both, too; a splat's edge is smoothed
+    // against what is beneath.
     let mixed = |[r, _, b]: [u8; 3]| r > 70 && b > 70 && r.abs_diff(b) < 40;
     let [of_samples, of_splats] = [&samples, &splats].map(|picture| of(picture, &mixed));
     assert!(of_splats < of_samples / 10, "{of_splats} of {of_samples}");

@@ -1,4 +1,4 @@
-//! A whole edit by names, and what it comes to without the window.
+//! A whole edit by names, and its outcome without the window.
 
 use super::compare::click_at;
 use super::*;
@@ -131,7 +131,7 @@ fn a_step_is_dragged_to_another_place() {
     let (from, to) = (place(&harness, "lattice"), place(&harness, "warp") + above);
     super::compare::drag(&mut harness, from, to);
     assert_eq!(order(&harness), ["lattice", "warp", "rbf"]);
-    // That one has something to say, so that its row is higher.
+    // The lattice's row has a message, so that it is higher.
     let (from, to) = (place(&harness, "lattice"), place(&harness, "rbf") - 4.0 * above);
     super::compare::drag(&mut harness, from, to);
     assert_eq!(order(&harness), names);
@@ -219,8 +219,8 @@ fn a_click_that_is_quicker_than_a_picture_selects() {
     assert_eq!(state.selection().count(), state.scene().unwrap().len());
 }
 
-/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says
-/// so.
+/// A handle with its surroundings fixed is made at once, and undone at once; a band that is too wide is
+/// told of.
 #[test]
 fn a_handle_is_made_with_what_is_around_it_fixed() {
     let folder = tempfile::tempdir().unwrap();
@@ -242,7 +242,7 @@ fn a_handle_is_made_with_what_is_around_it_fixed() {
     let made = regions();
     let roles: Vec<Role> = made.iter().map(|region| region.role).collect();
     assert_eq!(roles, [Role::Handle, Role::Fixed]);
-    // What is fixed is beyond the band, along the surface, and all of that is.
+    // Fixed samples are those beyond the band, along the surface, and all of those.
     let diagonal = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     let height = |p: &glam::Vec3| scene.frame().to_model(*p).y;
     let lowest = scene.positions.iter().filter(|p| top(p)).map(height).fold(f64::INFINITY, f64::min);
@@ -263,7 +263,7 @@ fn a_handle_is_made_with_what_is_around_it_fixed() {
     assert!(texts.iter().any(|text| text.contains("nothing is left to be fixed")), "{texts:?}");
 }
 
-/// What a plugin says to do about its parameters is a button.
+/// The advice of a plugin about its parameters is a button.
 #[test]
 fn what_a_plugin_says_to_do_is_a_button() {
     let folder = tempfile::tempdir().unwrap();
@@ -428,7 +428,7 @@ fn bones_that_an_end_bends_are_where_the_body_is() {
     let joints = harness.state().window().chosen().unwrap().2.joints;
     let end = joints.last().unwrap().clone();
     let size = joints[0].at.distance(end.at);
-    // What the end reaches for is where the end is, as long as nobody has moved it, however the bones turn.
+    // The end's target is at the end, as long as nobody has moved it, however the bones turn.
     let turn = simod_session::Motion { axis: glam::DVec3::Z, degrees: 40.0, ..Default::default() };
     let turned = Change::MoveHandle { id: joints[1].id.clone(), motion: turn };
     done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change: turned }));

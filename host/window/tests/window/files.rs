@@ -29,8 +29,8 @@ fn chooser(
     harness.state_mut().window_mut().chooser = Arc::new(move |purpose, _, turn| answer(purpose, turn));
 }
 
-/// However long it takes to find out that the system has no dialogs, and if it never says so: a path is
-/// typed.
+/// A path is typed, however long it takes to find out that the system has no dialogs, and if the system
+/// never says so.
 #[test]
 fn a_path_is_typed_where_the_system_has_no_dialogs() {
     let folder = tempfile::tempdir().unwrap();
@@ -77,7 +77,7 @@ fn a_path_is_typed_where_the_system_has_no_dialogs() {
     harness.key_press(egui::Key::Tab);
     harness.run_steps(3);
     assert!(typed(&harness).unwrap().ends_with("model.ply"), "{:?}", typed(&harness));
-    // It does so with what was typed right before it, in the time of one picture.
+    // Tab completes a text that was typed right before it, in the time of one picture.
     harness.get_by_label("Path of the file").focus();
     harness.run_steps(2);
     harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::A);
@@ -90,7 +90,7 @@ fn a_path_is_typed_where_the_system_has_no_dialogs() {
     assert!(harness.state().window().prompt.is_none());
 }
 
-/// What the user closed is closed, however quickly.
+/// A dialog that the user closed stays closed, however quickly.
 #[test]
 fn a_dialog_that_is_closed_asks_nothing_more() {
     let folder = tempfile::tempdir().unwrap();
@@ -203,7 +203,7 @@ fn a_model_that_was_moved_is_located() {
     assert!(!editor.is_saved(), "its file has the former place");
     assert_eq!(harness.state().window().settings.recent.len(), 1);
 
-    // What is no model is told, and not remembered.
+    // A file that is no model is told of, and not remembered.
     let bad = folder.path().join("bad.ply");
     std::fs::write(&bad, "no model").unwrap();
     let mut harness = window();
@@ -211,7 +211,7 @@ fn a_model_that_was_moved_is_located() {
     settle(&mut harness);
     assert!(harness.state().window().settings.recent.is_empty());
     assert_eq!(harness.state().window().toasts.texts().count(), 1);
-    // Its message leaves with its cause.
+    // The message leaves with its cause.
     harness.state_mut().window_mut().ask_to_open(moved);
     settle(&mut harness);
     assert_eq!(harness.state().window().toasts.texts().count(), 0);

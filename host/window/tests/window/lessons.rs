@@ -24,7 +24,7 @@ fn each_lesson_can_be_done_by_the_window() {
     settle(&mut harness);
     for (lesson, told) in ALL.iter().enumerate() {
         settle(&mut harness);
-        // What is so from the beginning, as the camera may be, is done already.
+        // A part that is done from the beginning, as the camera may be, is passed already.
         for part in at(&harness).1..told.parts.len() {
             assert_eq!(at(&harness), (lesson, part), "{}", told.parts[part].text);
             assert!(harness.query_by_label(told.parts[part].text).is_some());

@@ -1,5 +1,5 @@
-//! What looking takes besides the camera: light, the model cut open, lengths and angles; and pictures that
-//! are kept.
+//! Tools for looking besides the camera: light, the model cut open, lengths and angles; and pictures that
+//! are saved.
 
 use super::picture::{can_draw, drawn, drawn_window};
 use super::*;
@@ -158,7 +158,7 @@ fn lengths_and_angles_are_clicked_and_go_along() {
         text(&harness)
     );
 
-    // What deforms the model changes what is measured, and says from what.
+    // A deformation of the model changes the measure, which tells its former value.
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     harness.state_mut().window_mut().tools.take(Tool::Measure);
     harness.run_steps(3);

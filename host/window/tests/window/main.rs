@@ -1,4 +1,4 @@
-//! The window, driven as those drive it who do not see it: by the names of its controls. No graphics card is
+//! The window, driven as by people who do not see it: by the names of its controls. No graphics card is
 //! needed, but for the pictures.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
@@ -41,7 +41,7 @@ const PLUGINS: [&str; 8] = [
     "simod_warp",
 ];
 
-/// Longer than anything here takes.
+/// Time that is longer than anything here takes.
 const LONG: Duration = Duration::from_secs(300);
 
 /// All plugins of the project, in this process.
@@ -68,7 +68,7 @@ fn window() -> Harness<'static, App> {
     builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default())))
 }
 
-/// Goes on until all that was asked for is done.
+/// Goes on until all work that was asked for is done.
 fn settle(harness: &mut Harness<'_, App>) {
     let end = Instant::now() + LONG;
     loop {
@@ -82,7 +82,7 @@ fn settle(harness: &mut Harness<'_, App>) {
     }
 }
 
-/// Does a command, and waits for what it brings.
+/// Does a command, and waits for its results.
 fn done(harness: &mut Harness<'_, App>, command: Command) {
     let shown = format!("{command:?}");
     let window = harness.state_mut().window_mut();

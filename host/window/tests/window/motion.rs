@@ -1,4 +1,4 @@
-//! Hands that are quicker than pictures; and what is seen of what moves.
+//! Hands that are quicker than pictures; and the look of moving surfaces.
 
 use super::picture::{can_draw, drawn_window};
 use super::*;
@@ -98,7 +98,7 @@ fn keys_and_drags_of_one_slow_picture_are_all_done() {
     assert!((two - 2.0 * one).abs() < 0.3 * one.abs(), "{two} is not twice {one}");
 }
 
-/// However long a picture takes, what is pressed and let go without being moved was clicked.
+/// A button that is pressed and let go without a move is a click, however long a picture takes.
 #[test]
 fn clicks_between_slow_pictures_are_clicks() {
     let builder = Harness::builder().with_size([1440.0, 900.0]).with_step_dt(3.0);
@@ -171,7 +171,7 @@ fn the_sheet_of_keys_is_grouped_and_closed_by_keys() {
     }
 }
 
-/// What a window looks like, which is kept where somebody wants to see it.
+/// Picture of the window, which is also saved where somebody wants to see it.
 fn picture(harness: &mut Harness<'_, App>, name: &str) -> Image {
     harness.run_steps(8);
     let shown = harness.render().unwrap();
@@ -189,8 +189,8 @@ fn set(harness: &mut Harness<'_, App>, id: &str, value: impl Into<toml::Value>) 
     settle(harness);
 }
 
-/// Places in the middle of the picture that are much darker than what is around them: the background, seen
-/// through the surface.
+/// Places in the middle of the picture that are much darker than the places around them: the background,
+/// seen through the surface.
 fn holes(image: &Image, [x, y]: [std::ops::Range<u32>; 2]) -> usize {
     let light = |x, y| image.pixel(x, y).unwrap().iter().map(|c| u32::from(*c)).sum::<u32>();
     let places = x.flat_map(|x| y.clone().map(move |y| (x, y)));
@@ -246,7 +246,7 @@ fn an_axis_has_planes_that_can_be_dragged() {
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     done(&mut harness, Command::Camera(CameraMove::Look(simod_viewer::camera::Standard::Front)));
     harness.run_steps(2);
-    // Where the upper plane is: half of the diagonal above the middle.
+    // Knob of the upper plane: half of the diagonal above the middle.
     let window = harness.state().window();
     let (state, scene) = (window.state(), window.state().scene().unwrap().clone());
     let bounds = scene.sampled.bounds;
@@ -266,8 +266,8 @@ fn an_axis_has_planes_that_can_be_dragged() {
     assert_eq!(harness.state().window().steps().len(), steps);
 }
 
-/// Of a surface of which only a part is drawn while it is dragged, the result is whole in its first picture:
-/// fewer samples in between would flicker.
+/// The result of a drag is whole in its first picture, also where only a part of the surface is drawn while
+/// it is dragged: fewer samples in between would flicker.
 #[test]
 fn a_result_takes_the_place_of_its_draft_at_once() {
     if !can_draw() {
@@ -299,7 +299,7 @@ fn a_result_takes_the_place_of_its_draft_at_once() {
         assert!(Instant::now() < end, "no result comes");
         harness.run_steps(1);
     }
-    // That was the picture in which it came.
+    // The picture above is the one in which the result came.
     let drawn = harness.state().window().drawn;
     assert!(drawn.complete && drawn.drawn == drawn.of, "{drawn:?}");
 }
@@ -337,7 +337,7 @@ fn knobs_are_in_the_picture() {
     assert_eq!(harness.state().window().steps().len(), 1);
     assert!(are_seen(&harness));
     assert_eq!((camera(&harness).yaw, camera(&harness).pitch), (whole.yaw, whole.pitch));
-    // Who looks closely goes on doing so.
+    // A camera that looks closely stays.
     let at = harness.state().window().state().size().map(|s| 0.5 * s);
     done(&mut harness, Command::Camera(CameraMove::Zoom { factor: 4.0, at }));
     let near = camera(&harness);
@@ -353,7 +353,7 @@ fn knobs_are_in_the_picture() {
     assert!(camera(&harness).distance < with_knobs, "the model alone");
 }
 
-/// Pictures for the eye: what is around the model, and over it.
+/// Pictures for the eye: the panels around the model, and over it.
 #[test]
 fn nothing_lies_over_the_model_that_need_not() {
     if !can_draw() {

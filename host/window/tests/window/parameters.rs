@@ -10,7 +10,7 @@ fn every_plugin_shows_all_its_parameters_by_name() {
     open(&mut harness, &model(folder.path()));
     for plugin in plugins().plugins() {
         done(&mut harness, Command::AddStep { plugin: plugin.id().to_owned(), at: None });
-        // Some are below the end of the window, where nothing is drawn.
+        // Some parameters are below the end of the window, where nothing is drawn.
         harness.set_size(egui::vec2(1440.0, 4000.0));
         harness.run_steps(4);
         for param in plugin.params() {

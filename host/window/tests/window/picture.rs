@@ -18,7 +18,7 @@ pub fn can_draw() -> bool {
     }
 }
 
-/// What the window looks like. It is kept to be looked at, where `SIMOD_PICTURES` names a folder for it.
+/// Picture of the window, which is also saved where `SIMOD_PICTURES` names a folder for it.
 pub fn drawn(harness: &mut Harness<'_, App>, name: &str) -> Image {
     let shown = harness.render().unwrap();
     let pixels = shown.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).collect();
@@ -35,7 +35,7 @@ pub fn drawn_window() -> Harness<'static, App> {
     drawn_window_of([1280.0, 800.0])
 }
 
-/// The same, of a size.
+/// Window of a size with nothing open, and something to draw with.
 pub fn drawn_window_of(size: [f32; 2]) -> Harness<'static, App> {
     let plugins = plugins();
     let builder = Harness::builder().with_size(size).wgpu();
@@ -81,7 +81,7 @@ fn a_card_that_goes_away_takes_nothing_of_the_edit_along() {
     assert!(simod_viewer::state::recoverable(&path).unwrap().is_none());
     let device = device.get().unwrap();
     device.destroy();
-    // What is drawn next notices it.
+    // The next drawing notices the loss.
     let orbit = simod_viewer::command::CameraMove::Orbit { yaw: 0.3, pitch: 0.0 };
     assert!(harness.state_mut().window_mut().apply(Command::Camera(orbit)));
     harness.run_steps(4);

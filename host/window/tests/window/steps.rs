@@ -105,7 +105,7 @@ fn a_step_is_named_blended_looked_at_alone_and_copied() {
     let pasted = step(&other, 0);
     assert_eq!((pasted.title.as_deref(), pasted.deformation().unwrap().amount), (Some("Lean back"), 0.25));
     assert_eq!(state(&other).chosen(), Some(0));
-    // What is no step is told, and nothing changes.
+    // A text that is no step is told of, and nothing changes.
     other.event(egui::Event::Paste("Dear all".to_owned()));
     settle(&mut other);
     assert_eq!(other.state().window().steps().len(), 1);
@@ -214,13 +214,13 @@ fn a_refinement_is_told_otherwise() {
     done(&mut harness, Command::Undo);
     assert_eq!((finer(&harness), samples(&harness)), (Finer::Factor(1.5), before), "a drag is one change");
     // Another way to tell it.
-    harness.get_by_label("How the refinement is told").click();
+    harness.get_by_label("Measure of the refinement").click();
     harness.run_steps(2);
-    harness.get_by_label("So many samples more").click();
+    harness.get_by_label("Number of samples more").click();
     settle(&mut harness);
     assert!(matches!(finer(&harness), Finer::Samples(_)), "{:?}", finer(&harness));
     harness.get_by_label("Samples of the refinement");
-    harness.get_by_label("How the refinement is told").click();
+    harness.get_by_label("Measure of the refinement").click();
     harness.run_steps(2);
     harness.get_by_label("Down to an error").click();
     settle(&mut harness);

@@ -131,7 +131,7 @@ fn a_motion_follows_the_pointer_until_a_click() {
         harness.event(button);
         settle(&mut harness);
     }
-    // It rests: the pointer goes on without it.
+    // The motion is over: the pointer goes on without it.
     point_at(&mut harness, middle);
     assert_eq!(moved(&harness)[0].motion.translate, second);
     assert_eq!(in_hand(&harness).len(), 1, "the click took nothing else");

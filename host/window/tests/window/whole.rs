@@ -25,7 +25,7 @@ fn click(harness: &mut Harness<'_, App>, label: &str) {
     settle(harness);
 }
 
-/// Clicks what has a name with this in it: an entry of a menu, which has its id, too.
+/// Clicks the control whose label contains this text: an entry of a menu, whose label has its id, too.
 fn click_on(harness: &mut Harness<'_, App>, label: &str) {
     harness.get_by_label_contains(label).click();
     settle(harness);
@@ -103,7 +103,7 @@ fn an_edit_by_mouse_and_keys() {
     let options = ModelOptions { shape: Shape::Cactus, vertices: 20_000, ..ModelOptions::default() };
     write_file(&options, &path, &Silent).unwrap();
     let mut harness = drawn_window_of([1000.0, 700.0]);
-    // Where the system has no dialogs, paths are typed.
+    // The system has no dialogs, so that paths are typed.
     harness.state_mut().window_mut().chooser =
         Arc::new(|_, _, _| DialogAnswer::Absent("there are none".to_owned()));
     press(&mut harness, egui::Modifiers::COMMAND, egui::Key::O);

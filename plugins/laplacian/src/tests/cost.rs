@@ -1,4 +1,4 @@
-//! What it costs: `cargo test --release -p simod-plugin-laplacian -- --ignored --nocapture cost`.
+//! Cost of deformations: `cargo test --release -p simod-plugin-laplacian -- --ignored --nocapture cost`.
 
 use super::scene::{held_at_ends, tube, turn};
 use glam::DVec3;

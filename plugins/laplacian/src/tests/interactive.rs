@@ -1,4 +1,4 @@
-//! What dragging a handle needs: drafts, results that do not depend on threads, and an end when the user asks
+//! Tests of dragging a handle: drafts, results that do not depend on threads, and an end when the user asks
 //! for it.
 
 use super::scene::{Scene, Threads, held_at_ends, tube, turn};
@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const MODES: [&str; 4] = ["arap", "smooth-arap", "laplacian", "bi-laplacian"];
 
-/// Bends what is between the held ends to an arc, as long as it was.
+/// Motion that bends the surface between the held ends to an arc of the same length.
 fn bend(degrees: f64) -> Affine {
     let (angle, end) = (degrees.to_radians(), DVec3::new(0.0, 0.0, 0.85));
     let radius = 0.7 / angle;
@@ -24,7 +24,7 @@ fn scene() -> Scene {
 
 #[test]
 fn a_draft_is_near_the_full_result() {
-    // What may crease takes more steps to find out where.
+    // Deformations that may crease take more steps to find out where.
     let cases: [(_, _, &[f64]); 3] = [
         ("smooth-arap", 0.03, &[5.0, 30.0, 60.0]),
         ("arap", 0.0, &[5.0]),

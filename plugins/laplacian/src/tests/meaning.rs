@@ -1,4 +1,4 @@
-//! What a deformation means: exactness, lengths, symmetry, limits.
+//! Tests of a deformation's meaning: exactness, lengths, symmetry, limits.
 
 use super::scene::{Scene, bar, held_at_ends, tube, turn};
 use glam::DVec3;
@@ -19,7 +19,7 @@ fn apply(map: &Affine, p: &[f32; 3]) -> DVec3 {
     DVec3::from(map.apply(p.map(f64::from)))
 }
 
-/// The root mean square of how much edges changed their length, relative to it.
+/// Root mean square of the edges' changes of length, relative to the length.
 fn stretch(scene: &Scene, deformed: &[[f32; 3]]) -> f64 {
     let mut sum = 0.0;
     for t in &scene.triangles {
@@ -162,7 +162,8 @@ fn the_smoothest_displacement_of_a_tube_is_a_cubic() {
     assert!(errors[1] < 0.7 * errors[0] && errors[2] < 0.7 * errors[1], "{errors:?}");
 }
 
-/// Finer samplings of one surface come to one result, also where they are found by way of a coarse likeness.
+/// Finer samplings of one surface come to one result, also where results are found by way of a coarse
+/// likeness.
 #[test]
 fn results_converge_under_refinement() {
     let motion = turn(DVec3::X, 70.0, DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.0, -0.3, -0.15));

@@ -12,7 +12,7 @@ use serde_json::Value;
 use simod_plugin_api::{Affine, Role};
 use std::path::Path;
 
-/// Of the diagonal.
+/// Largest difference from libigl's results, as a fraction of the diagonal.
 const AGREES: f64 = 1e-4;
 
 struct Reference {
@@ -83,7 +83,7 @@ impl Reference {
     }
 }
 
-/// As the script makes it.
+/// Bumpy plane as the script makes it.
 fn bumpy_plane() -> Reference {
     const N: i32 = 24;
     let (mut points, mut triangles, mut selection) = (Vec::new(), Vec::new(), Vec::new());
@@ -115,7 +115,7 @@ fn bumpy_plane() -> Reference {
     Reference::new("bumpy-plane", points, triangles, &selection)
 }
 
-/// libigl's, where it is.
+/// Knight of libigl, where its file is there.
 fn knight() -> Option<Reference> {
     let model = simod_tests::real_model("decimated-knight.off")?;
     let selection = simod_tests::real_model("decimated-knight-selection.dmat")?;
@@ -151,6 +151,6 @@ fn the_knight_goes_where_libigl_has_it() {
     reference.agrees("bi-laplacian", "cotangent", "bi-laplacian");
     reference.agrees("bi-laplacian", "robust", "robust");
     reference.agrees("arap", "cotangent", "arap");
-    // What is tested against is not all the same.
+    // Results of other methods differ by more than the agreement that is tested.
     assert!(reference.difference("bi-laplacian", "robust", "bi-laplacian") > AGREES);
 }

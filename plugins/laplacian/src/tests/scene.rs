@@ -58,7 +58,7 @@ impl Scene {
         }
     }
 
-    /// With a region of all points that are inside.
+    /// Scene with a further region of all points that are inside.
     pub fn region(mut self, role: Role, inside: impl Fn([f64; 3]) -> bool) -> Self {
         let weights = self.points.iter().map(|p| f32::from(u8::from(inside(p.map(f64::from))))).collect();
         self.regions.push((role, weights));

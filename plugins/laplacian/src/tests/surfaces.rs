@@ -70,7 +70,7 @@ fn points_alone_deform_as_their_triangles_do() {
     let mesh = held_at_ends(tube(40, 60, 0.15), 0.2);
     let cloud = mesh.clone().cloud(24);
     let motion = turn(DVec3::X, 50.0, DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.0, -0.2, -0.1));
-    // What may crease does so elsewhere.
+    // Deformations that may crease do so elsewhere.
     for mode in ["smooth-arap", "laplacian", "bi-laplacian"] {
         let run = |scene: &Scene| Scene { mode, ..scene.clone() }.run(&[motion]);
         let apart = run(&mesh).iter().zip(run(&cloud)).map(|(a, b)| v(a).distance(v(&b))).fold(0.0, f64::max);
@@ -79,8 +79,8 @@ fn points_alone_deform_as_their_triangles_do() {
     }
 }
 
-/// A part that nothing holds goes rigidly with what is next to it; a lone point is held by its neighbours, if
-/// it knows any.
+/// A part that nothing holds goes rigidly with the samples next to it; a lone point is held by its
+/// neighbours, if it has any.
 #[test]
 fn loose_parts_follow() {
     let scene = held_at_ends(tube(24, 40, 0.1), 0.2);
@@ -119,7 +119,7 @@ fn loose_parts_follow() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
-    /// Whatever the triangles and neighbours are, results are finite, and what is held is where it belongs.
+    /// Results are finite, and held samples where they belong, whatever the triangles and neighbours are.
     #[test]
     fn anything_gives_finite_positions(
         points in proptest::collection::vec(proptest::array::uniform3(0_u8..5), 2..40),

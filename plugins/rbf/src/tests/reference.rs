@@ -1,11 +1,11 @@
-//! Results are SciPy's, on the same points: `tests/reference/rbf.py` says how the figures came about.
+//! Results are SciPy's, on the same points: `tests/reference/rbf.py` tells where the figures come from.
 
 use super::{Setup, distance};
 use serde_json::Value;
 use simod_plugin_api::{Affine, Bounds, Role};
 use std::path::Path;
 
-/// Of the diagonal; positions are of single precision.
+/// Greatest difference as a part of the diagonal; positions are of single precision.
 const AGREES: f64 = 1e-6;
 
 fn numbers<const N: usize>(row: &Value) -> [f64; N] {
@@ -30,7 +30,7 @@ fn difference(kernel: &'static str, figures: &str) -> f64 {
     let setup = Setup {
         kernel,
         support: golden["support"].as_f64().unwrap(),
-        // Not to be met before all constraints are centres.
+        // The tolerance is not met before all constraints are centres.
         tolerance: 1e-9,
         bounds,
         ..Setup::new(points, regions)
@@ -54,6 +54,6 @@ fn samples_go_where_scipy_has_them() {
         println!("{kernel}: {worst:.1e} of the diagonal");
         assert!(worst < AGREES, "{kernel}: {worst:.1e}");
     }
-    // What is tested against is not all the same.
+    // The figures of another degree are not met: the test can tell results apart.
     assert!(difference("biharmonic", "degree-0") > 1e-3);
 }

@@ -1,4 +1,4 @@
-//! What skinning means.
+//! Tests of the meaning of skinning.
 
 use super::scene::{Listener, Scene, at, turn};
 use super::solids::{FORK, LIMB, Surface, fork, limb, together, tube};
@@ -23,7 +23,7 @@ fn what_does_not_move_stays_to_the_last_bit() {
         let scene = Scene { method, binding, ..Scene::new(limb(), &LIMB) };
         let state = scene.prepare();
         assert_eq!(scene.deform(&state, &[]), scene.points);
-        // What only the upper bone moves, and what the lower one does.
+        // Places that only the upper bone moves stay, and those of the lower one turn.
         let moved = scene.deform(&state, &bent());
         let (mut still, mut turned) = (0, 0);
         for (p, q) in scene.points.iter().zip(&moved) {
@@ -39,7 +39,7 @@ fn what_does_not_move_stays_to_the_last_bit() {
     }
 }
 
-/// In a straight limb, distances are known, and so are weights.
+/// Distances in a straight limb are known, and so are weights.
 #[test]
 fn weights_are_those_of_exact_distances() {
     let scene = Scene { binding: "geodesic", ..Scene::new(limb(), &LIMB) };
@@ -97,7 +97,7 @@ fn limbs_beside_each_other_do_not_take_each_other_along() {
     }
 }
 
-/// Every fifth triangle gone, the others turned about and each with corners of its own.
+/// Surface without every fifth triangle, the others turned about and each with corners of its own.
 fn soup((points, triangles): &Surface) -> Surface {
     let kept = triangles.iter().enumerate().filter(|(i, _)| i % 5 != 0);
     let kept: Vec<[u32; 3]> =
@@ -119,7 +119,7 @@ fn soups_and_clouds_bend_as_closed_surfaces_do() {
     let off = difference(&torn.deform(&state, &bent()), &soup(&(wanted.clone(), limb().1)).0);
     println!("as a soup: {off:.1e}");
     assert!(off < 0.01, "{off}");
-    // With one end open it is solid all the same.
+    // A limb with one end open is solid all the same.
     let (points, triangles) = limb();
     let open = triangles.into_iter().filter(|t| t.iter().any(|v| points[*v as usize][0] < 0.999)).collect();
     let open = Scene::new((points, open), &LIMB);

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-/// Of the diagonal.
+/// Largest difference from the reference results, as a fraction of the diagonal.
 const AGREES: f64 = 1e-6;
 
 fn figures(name: &str) -> Value {

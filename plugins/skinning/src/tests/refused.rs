@@ -1,4 +1,4 @@
-//! What cannot be, and how it is told.
+//! Tests of inputs that are refused, and of the errors that say so.
 
 use super::scene::{Listener, Scene, at, rows};
 use super::solids::{LIMB, limb};

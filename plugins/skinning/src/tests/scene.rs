@@ -12,7 +12,7 @@ use simod_plugin_api::{
 use std::num::NonZero;
 use std::sync::Mutex;
 
-/// A host with threads that listens; and that may stop what goes on.
+/// Host with threads that collects messages, and may stop the work.
 #[derive(Default)]
 pub struct Listener {
     pub lines: Mutex<Vec<String>>,
@@ -78,7 +78,7 @@ impl Scene {
         }
     }
 
-    /// As a cloud of points.
+    /// Scene with a cloud of points in the place of the surface.
     pub fn into_cloud(mut self) -> Self {
         self.triangles.clear();
         let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&self.points).unwrap();
@@ -154,7 +154,7 @@ impl Scene {
         self.with(|input| Skinning::handles(input, &Host::new(&())))
     }
 
-    /// The motions of all handles where some move by themselves, about their places: with what they hang on,
+    /// Motions of all handles where some move by themselves, about their places: each with the handles above,
     /// as the host gives them.
     pub fn motions(&self, moved: &[(&str, DAffine3)]) -> Vec<Affine> {
         let mut totals: Vec<DAffine3> = Vec::new();

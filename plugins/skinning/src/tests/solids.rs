@@ -5,7 +5,7 @@ use simod_plugin_api::Joint;
 
 pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);
 
-/// A closed tube between two points, with flat ends, of so many samples around.
+/// A closed tube between two points, with flat ends, of `around` samples around.
 pub fn tube(from: DVec3, to: DVec3, radius: f64, around: usize) -> Surface {
     let axis = (to - from).try_normalize().unwrap();
     let (u, v) = axis.any_orthonormal_pair();

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 const RANGE: [f64; 2] = [-0.7, 0.9];
 const LENGTH: f64 = RANGE[1] - RANGE[0];
 
-/// Differences for gradients, which have to stay on one side of the range's ends.
+/// Step of differences for gradients, which have to stay on one side of the range's ends.
 const STEP: f64 = 1e-5;
 
 /// A place for a warp: a centre and orthonormal vectors, of which the first is the axis.
@@ -45,12 +45,12 @@ impl Place {
         [self.axis, self.direction, self.side].map(|a| dot(x, a))
     }
 
-    /// Where a point goes, in coordinates of the place.
+    /// Image of a point, in coordinates of the place.
     fn image(&self, deformation: WarpKind, coordinates: Vec3) -> Vec3 {
         self.coordinates(self.warp(deformation).apply(self.point(coordinates)))
     }
 
-    /// The determinant of the gradient: how volumes change.
+    /// Determinant of the gradient: the ratio by which volumes change.
     fn determinant(&self, deformation: WarpKind, at: Vec3) -> f64 {
         let columns: [Vec3; 3] = std::array::from_fn(|i| {
             let step = |t: f64| std::array::from_fn(|j| at[j] + if i == j { t } else { 0.0 });
@@ -165,7 +165,7 @@ proptest! {
             let images = [p, q].map(|x| place.image(deformation, x));
             prop_assert!((distance(p, q) - distance(images[0], images[1])).abs() < 1e-12);
         }
-        // And on along the tangent.
+        // Beyond the range, the image goes on along the tangent.
         let further = |x: Vec3| place.image(WarpKind::Bend { angle, direction: ANY }, x);
         let tangent = sub(further([2.0 * RANGE[end], 0.0, 0.0]), further([RANGE[end], 0.0, 0.0]));
         let phi = angle * RANGE[end] / LENGTH;
@@ -213,7 +213,7 @@ proptest! {
         }
     }
 
-    /// Nearly nothing is done without dividing by it.
+    /// Bends by nearly nothing are computed without dividing by the angle.
     #[test]
     fn small_bends_bend_little(place in places(), p in points(), exponent in -300.0..-6.0) {
         let angle = 10_f64.powf(exponent);
@@ -221,7 +221,7 @@ proptest! {
         prop_assert!(distance(p, q) < 1e-12 + 10.0 * angle);
     }
 
-    /// Where the centre is beyond the range, the end next to it stays, with all on its side.
+    /// The end next to the centre stays, where the centre is beyond the range, with all on its side.
     #[test]
     fn the_end_next_to_the_centre_stays(
         place in places(), deformation in deformations(), p in points(), away in 0.0..2.0,

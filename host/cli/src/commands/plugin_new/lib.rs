@@ -9,22 +9,24 @@ mod tests;
 
 use simod_plugin_api::*;
 
-/// What a user can choose: names and hints are what they see. SIMOD checks the values, and completes them by
-/// the defaults. A point's default is in fractions of the model's box.
+/// Parameters: users see their names and hints. SIMOD checks the values, and completes them by the defaults.
+/// A point's default is in fractions of the model's box.
 #[derive(ParamSet)]
 struct __TYPE__ {
-    /// What swells, until its handle is moved
+    /// Centre of the swelling, until its handle is moved
     #[param(point, name = "Centre", default = [0.5; 3])]
     center: [f64; 3],
-    /// Its reach: a fraction of the model's diagonal, so that the default suits a model of any size
+    /// Distance from the centre up to which points move
+    ///
+    /// It is a fraction of the model's diagonal, so that the default suits a model of any size.
     #[param(default = 0.3, unit = "diagonal", hard = 1e-6..=10.0)]
     radius: f64,
-    /// Below 0 pinches
+    /// Strength of the swelling; values below 0 pinch
     #[param(default = 0.5, hard = -1.0..=10.0)]
     strength: f64,
 }
 
-/// The push from the centre (left) to the rim (right): a curve that the user draws.
+/// Push from the centre (left) to the rim (right): a curve that the user draws.
 const PROFILE: [[f64; 2]; 5] = [[0.0, 1.0], [0.25, 0.88], [0.5, 0.56], [0.75, 0.19], [1.0, 0.0]];
 
 /// The deformation, as parameters and the handle have it.
@@ -38,7 +40,7 @@ struct Bulge<'a> {
 impl<'a> Bulge<'a> {
     fn read(input: &DeformInput<'a>) -> PluginResult<Self> {
         let __TYPE__ { center, radius, strength } = input.params().read()?;
-        // The handle's motion moves what swells along.
+        // The handle's motion moves the centre along.
         let center = input.handle_motions().first().map_or(center, |motion| motion.apply(center));
         let (reach, profile) = (radius * input.bounds.diagonal(), input.params().curve("profile")?);
         Ok(Self { center, reach, strength, profile })
@@ -55,14 +57,14 @@ impl<'a> Bulge<'a> {
 }
 
 impl Deformer for __TYPE__ {
-    type State = (); // What `prepare` finds out for all calls of `deform`: here nothing,
+    type State = (); // Result of `prepare` for all calls of `deform`: here nothing,
     type Scratch = (); // and no memory to keep between them.
 
     fn descriptor() -> Descriptor {
         Descriptor::new("__NAME__", "__TITLE__", env!("CARGO_PKG_VERSION"))
             .summary("Swells the model about a point, or pinches it")
             .param_set::<Self>()
-            .param(ParamDesc::curve("profile", "Profile", &PROFILE).hint("The push from the centre to the rim"))
+            .param(ParamDesc::curve("profile", "Profile", &PROFILE).hint("Push from the centre to the rim"))
     }
 
     fn prepare(_: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -94,7 +96,7 @@ impl Evaluate for __TYPE__ {
     }
 }
 
-/// What a user can grab: here the centre.
+/// Handles that a user can grab: here the centre.
 impl Handles for __TYPE__ {
     fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
         let this: Self = input.params().read()?;

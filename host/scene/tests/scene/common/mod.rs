@@ -1,4 +1,4 @@
-//! What the tests draw, and with what.
+//! Models, views and devices that the tests draw with.
 #![allow(dead_code, reason = "each test uses a part")]
 #![allow(clippy::print_stdout, reason = "who is skipped says so")]
 
@@ -91,7 +91,8 @@ pub fn sphere(center: Vec3, radius: f32, rows: usize) -> Model {
     model
 }
 
-/// From a distance of 4 along +z, 240 pixels in square, just wide enough for 1.2 to all sides of the origin.
+/// View from a distance of 4 along +z, 240 pixels in square, just wide enough for 1.2 to all sides of the
+/// origin.
 pub fn view() -> SceneView {
     SceneView {
         view: look_at_mat4(Vec3::new(0.0, 0.0, 4.0), Vec3::ZERO, Vec3::Y),
@@ -100,7 +101,7 @@ pub fn view() -> SceneView {
     }
 }
 
-/// Where a picture shows a point.
+/// Place of a point in a picture, in pixels.
 pub fn project(view: &SceneView, point: Vec3) -> [f32; 2] {
     let clip: Vec4 = view.projection * (view.view * point.extend(1.0));
     let [w, h] = view.size.map(|s| s as f32);
@@ -151,13 +152,13 @@ pub fn is_red(image: &Image, [x, y]: [f32; 2]) -> bool {
     r > b + 12
 }
 
-/// The style of most tests: what is drawn shows its own colours, and nothing depends on the surroundings.
+/// Style of most tests: surfaces show their own colours, and nothing depends on the surroundings.
 pub fn plain() -> SceneStyle {
     SceneStyle { own_colors: true, occlusion: false, ..SceneStyle::default() }
 }
 
-/// What `shade.wgsl` makes of a colour (sRGB), by the formula of `simod_picture`: key light from the
-/// upper left, fill light, sky, highlight and rim, without occlusion.
+/// Lit colour that `shade.wgsl` makes of a colour (sRGB), by the formula of `simod_picture`: key light from
+/// the upper left, fill light, sky, highlight and rim, without occlusion.
 pub fn lit(color: [u8; 3], normal: Vec3, eye: Vec3) -> [i32; 3] {
     let key_way = Vec3::new(-0.50, 0.66, 0.56).normalize_or_zero();
     let key = normal.dot(key_way).max(0.0);

@@ -45,7 +45,7 @@ unsafe fn param(d: &SimodParamDesc, index: usize) -> PluginResult<ParamDesc> {
         let id = text(d.id, &format!("the id of parameter {index}"))?;
         let of = |what: &str| format!("the {what} of parameter `{id}`");
         let kind = ParamKind(d.kind);
-        // Of a kind that this version does not know, nothing is: it is refused.
+        // A kind that this version does not know has no fixed count of numbers: it is refused.
         let fixed = match kind {
             ParamKind::FLOAT | ParamKind::INT | ParamKind::BOOL | ParamKind::MODEL => 1,
             ParamKind::DIRECTION | ParamKind::POINT => 3,
@@ -100,10 +100,10 @@ pub(super) unsafe fn handle(pointer: *const SimodHandleDesc) -> PluginResult<Han
     }
 }
 
-/// What a plugin says of its older sessions.
+/// Reads a plugin's description of its older sessions.
 ///
 /// # Safety
-/// The pointers in it are NULL or as the header says.
+/// The pointers in `m` are NULL or as the header says.
 pub(super) unsafe fn migration(m: &SimodMigration) -> PluginResult<Migration> {
     // SAFETY: by the contract, for all that follow.
     unsafe {
@@ -138,7 +138,7 @@ mod tests {
     use std::ffi::c_char;
     use std::ptr::null;
 
-    /// What C makes of an empty initialiser.
+    /// Description of a parameter that C's empty initialiser gives.
     const NOTHING: SimodParamDesc = SimodParamDesc {
         id: null(),
         name: null(),

@@ -53,7 +53,7 @@ impl Texts {
             .map(Self)
     }
 
-    /// These parameters as C has them; they point to these texts.
+    /// Returns the parameters as C has them; they point to the texts of `self`.
     fn params(&self, params: Params<'_>) -> Vec<SimodParam> {
         let params = params.iter().zip(&self.0).map(|(p, (id, text))| SimodParam {
             id: id.as_ptr(),
@@ -66,7 +66,7 @@ impl Texts {
     }
 }
 
-/// Calls with settings of a session, as long as they are there.
+/// Calls with settings of a session, which live during the call.
 pub(super) fn with_settings<T>(
     settings: &[Setting],
     call: impl FnOnce(*const SimodParam, usize) -> T,
@@ -105,7 +105,7 @@ impl NamedAttributes {
         Ok(Some(Self(names, attributes)))
     }
 
-    /// These attributes as an input of C's; it points to these names.
+    /// Returns the attributes as an input of C's; it points to the names of `self`.
     fn input(&self) -> SimodAttributes {
         SimodAttributes { attributes: start(&self.1), count: self.0.len() }
     }
@@ -126,7 +126,7 @@ fn other_model((model, param): (&OtherModel<'_>, &CString)) -> SimodOtherModel {
     }
 }
 
-/// Calls with what a preparation gets, as long as it is there.
+/// Calls with the input of a preparation, which lives during the call.
 pub(super) fn with_prepare_input<T>(
     input: &PrepareInput<'_>,
     call: impl FnOnce(*const SimodPrepareInput) -> T,
@@ -177,7 +177,7 @@ pub(super) fn with_prepare_input<T>(
     Ok(call(&input))
 }
 
-/// Calls with what a deformation gets, as long as it is there.
+/// Calls with the input of a deformation, which lives during the call.
 pub(super) fn with_deform_input<T>(
     input: &DeformInput<'_>,
     call: impl FnOnce(*const SimodDeformInput) -> T,

@@ -7,20 +7,20 @@ use std::ffi::{c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
-/// Hears what a plugin says during one call.
+/// Listener to a plugin during one call.
 pub(super) struct Ear<'a> {
     calls: &'a dyn HostCalls,
-    /// The last error that it told: what is wrong, and what to do about it.
+    /// The last error that the plugin told: the error in words, and advice.
     told: Mutex<Option<(String, String)>>,
 }
 
 impl<'a> Ear<'a> {
-    /// Passes on to the host what is for it.
+    /// Ear that passes on to the host what the plugin tells it.
     pub fn new(calls: &'a dyn HostCalls) -> Self {
         Self { calls, told: Mutex::new(None) }
     }
 
-    /// What the plugin gets. It must not outlive this.
+    /// Table of the host's functions that the plugin gets. It must not outlive `self`.
     pub fn host(&self) -> SimodHost {
         SimodHost { context: std::ptr::from_ref(self).cast(), progress, log, error, parallel_for, extension }
     }
@@ -79,7 +79,7 @@ unsafe extern "C" fn error(
     code
 }
 
-/// A plugin's function with what it wants to be called with.
+/// Function of a plugin with the context that the plugin wants it to be called with.
 struct PluginCall {
     call: unsafe extern "C" fn(*mut c_void, usize),
     context: *mut c_void,
@@ -153,7 +153,7 @@ unsafe extern "C" fn has(host: *const SimodHost, pose: u32) -> bool {
     guarded(host, false, |ear| ear.calls.lookups().is_some_and(|lookups| lookups.has_triangles(Pose(pose))))
 }
 
-/// Writes what was found; whether something was.
+/// Writes a point that was found; returns whether there is one.
 ///
 /// # Safety
 /// If it is not NULL and aligned, there is room for a point.

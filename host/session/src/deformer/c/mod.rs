@@ -1,8 +1,9 @@
 //! The code of a plugin in C, in this process: what `simod_plugin.h` says, from the host's side.
 //!
 //! Nothing that a plugin gives is trusted as far as it can be looked at: pointers may be NULL or misaligned,
-//! counts absurd, text without an end or not UTF-8. That a function is one, and keeps to what it is allowed
-//! to touch, nobody can see; who does not trust a plugin has it run in a process of its own.
+//! counts absurd, text without an end or not UTF-8. Whether a function pointer is one, and whether the
+//! function keeps to the memory that it may touch, cannot be checked; a user who does not trust a plugin has
+//! it run in a process of its own.
 
 mod describe;
 mod give;
@@ -45,8 +46,8 @@ type MigrateFunction =
     unsafe extern "C" fn(u32, *const SimodParam, usize, *mut SimodSettingList, *const SimodHost) -> u32;
 type IsIdentityFunction = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
 
-/// The functions of a plugin in C. A call costs what it takes to put the input into other words: of
-/// parameters, regions and strokes; no samples are copied.
+/// Functions of a plugin in C. A call costs the time to put the input into other words: parameters, regions
+/// and strokes; no samples are copied.
 pub(crate) struct CCode {
     describe: unsafe extern "C" fn() -> *const simod_plugin_api::c::SimodDescriptor,
     deform: unsafe extern "C" fn(
@@ -109,8 +110,8 @@ pub(crate) fn load_whole(file: &Path, path: &Path) -> Result<Library> {
 }
 
 impl CCode {
-    /// Loads a library, for good, which is known to have the table: from `file`, which is that at `path`, or
-    /// a copy of it.
+    /// Loads a library that is known to have the table, for good: from `file`, which is that at `path`, or a
+    /// copy of it.
     pub fn load(file: &Path, path: &Path) -> Result<Self> {
         let library = load_whole(file, path)?;
         // Never unloaded: states and descriptions point into it.
@@ -170,7 +171,7 @@ impl CCode {
     }
 }
 
-/// A table of this version; or what is wrong with it, and what to do.
+/// Reads a table of this version; an error has the fault and the advice.
 ///
 /// # Safety
 /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so.
@@ -206,10 +207,10 @@ unsafe fn extension<T: Copy>(plugin: &SimodPlugin, id: &CStr) -> Option<T> {
     (!table.is_null() && table.is_aligned()).then(|| unsafe { table.read() })
 }
 
-/// What is not offered is not called.
+/// Reason for which a call expects the plugin to have it: calls that are not offered are not made.
 const OFFERED: &str = "the plugin offers it";
 
-/// Calls the plugin with a host that hears what it says, and makes an error of what is no success.
+/// Calls the plugin with a host that hears its messages, and makes an error of any status but success.
 fn call(calls: &dyn HostCalls, call: impl FnOnce(*const SimodHost) -> u32) -> PluginResult<()> {
     let ear = listen::Ear::new(calls);
     match call(&ear.host()) {
@@ -251,7 +252,7 @@ impl Code for CCode {
                 call(calls, |host| unsafe { prepare(input, host, &raw mut data) })
             })??;
         }
-        // After an error there is no state, whatever was written.
+        // After an error there is no state, whatever the plugin wrote.
         Ok(State::new(CState { data, free: self.plugin.drop_state }))
     }
 
@@ -360,7 +361,7 @@ fn handle_faces(
     found
 }
 
-/// What `SimodFaceList::add` does: the first face that cannot be read is what is told.
+/// Function behind `SimodFaceList::add`: the first face that cannot be read is reported.
 unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, count: usize) {
     if list.is_null() {
         return;
@@ -377,8 +378,8 @@ unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, cou
     }
 }
 
-/// What `SimodSettingList::set` does: the first setting that cannot be read, or that is one too many, is what
-/// is told.
+/// Function behind `SimodSettingList::set`: the first setting that cannot be read, or that is one too many,
+/// is reported.
 unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const SimodParam) {
     if list.is_null() {
         return;
@@ -400,7 +401,7 @@ unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const Si
     }
 }
 
-/// What `SimodHandleList::add` does: the first handle that cannot be read is what is told.
+/// Function behind `SimodHandleList::add`: the first handle that cannot be read is reported.
 unsafe extern "C" fn add_handle(list: *mut SimodHandleList, handle: *const SimodHandleDesc) {
     if list.is_null() {
         return;

@@ -59,7 +59,7 @@ pub(super) unsafe fn text_or_none(pointer: *const c_char, what: &str) -> PluginR
     unsafe { text(pointer, what) }
 }
 
-/// A text that somebody says in passing, as well as it can be read.
+/// Text of a message, as well as it can be read.
 ///
 /// # Safety
 /// As for [`bytes`].

@@ -24,12 +24,12 @@ pub fn options(folder: &Path) -> PluginOptions {
     PluginOptions::in_process(vec![PluginFolder { path: folder.to_owned(), by_name: false, shipped: false }])
 }
 
-/// All libraries in a folder.
+/// Registry of all libraries in a folder.
 pub fn load(folder: &Path) -> PluginRegistry {
     PluginRegistry::discover(&options(folder))
 }
 
-/// All libraries in a folder, each in a process of its own.
+/// Registry of all libraries in a folder, each in a process of its own.
 #[cfg(unix)]
 pub fn load_isolated(folder: &Path) -> PluginRegistry {
     let command = ["simod", "plugin", "serve"].map(PathBuf::from);
@@ -46,7 +46,7 @@ pub fn load_isolated(folder: &Path) -> PluginRegistry {
     PluginRegistry::discover(&options)
 }
 
-/// All built plugins.
+/// Registry of all built plugins.
 pub fn registry() -> &'static PluginRegistry {
     static REGISTRY: OnceLock<PluginRegistry> = OnceLock::new();
     REGISTRY.get_or_init(|| {

@@ -9,19 +9,20 @@
 #include <math.h>
 #include <string.h>
 
-// What a user can choose. The values come in this order, all there and in their ranges.
+// Parameters. Their values come in this order, all there and in their ranges.
 enum { CENTER, RADIUS, STRENGTH, FALLOFF, PARAM_COUNT };
 
 static const SimodParamDesc params[PARAM_COUNT] = {
     // The default of a point is in fractions of the model's box.
-    [CENTER] = { .id = "center", .name = "Centre", .hint = "What swells", .kind = SIMOD_PARAM_POINT,
+    [CENTER] = { .id = "center", .name = "Centre", .hint = "Centre of the swelling", .kind = SIMOD_PARAM_POINT,
                  .default_numbers = { 0.5, 0.5, 0.5 } },
     // A fraction of the model's diagonal, so that the default suits a model of any size.
-    [RADIUS] = { .id = "radius", .name = "Radius", .hint = "Its reach", .kind = SIMOD_PARAM_FLOAT,
-                 .unit = SIMOD_UNIT_DIAGONAL, .hard_range = { 1e-6, 10 }, .default_numbers = { 0.3 } },
-    [STRENGTH] = { .id = "strength", .name = "Strength", .hint = "Below 0 pinches", .kind = SIMOD_PARAM_FLOAT,
-                   .hard_range = { -1, 10 }, .default_numbers = { 0.5 } },
-    [FALLOFF] = { .id = "falloff", .name = "Falloff", .hint = "From 1 for wide to 8 for narrow",
+    [RADIUS] = { .id = "radius", .name = "Radius", .hint = "Distance from the centre up to which points move",
+                 .kind = SIMOD_PARAM_FLOAT, .unit = SIMOD_UNIT_DIAGONAL, .hard_range = { 1e-6, 10 },
+                 .default_numbers = { 0.3 } },
+    [STRENGTH] = { .id = "strength", .name = "Strength", .hint = "Strength of the swelling; below 0 pinches",
+                   .kind = SIMOD_PARAM_FLOAT, .hard_range = { -1, 10 }, .default_numbers = { 0.5 } },
+    [FALLOFF] = { .id = "falloff", .name = "Falloff", .hint = "Narrowness, from 1 for wide to 8 for narrow",
                   .kind = SIMOD_PARAM_FLOAT, .hard_range = { 1, 8 }, .default_numbers = { 2 } },
 };
 
@@ -81,7 +82,7 @@ static const void *extension(const char *id)
     return strcmp(id, SIMOD_EVALUATE) == 0 ? &known : NULL;
 }
 
-// What SIMOD finds in this library.
+// Entry of this library, which SIMOD looks up.
 const SimodPlugin simod_plugin_entry = {
     .interface_major = SIMOD_INTERFACE_MAJOR, .interface_minor = SIMOD_INTERFACE_MINOR,
     .size = sizeof(SimodPlugin), .describe = describe, .deform = deform, .extension = extension,
