@@ -22,8 +22,8 @@ use crate::sampling::finalization::unit;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::ranges::joined;
 
-/// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can; among many
-/// sheets, one with less than half of what each would have if all were equal.
+/// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can; in a model
+/// of many layers, one with less than half of what each sheet would have if all were equal.
 const LEAST_PART: f64 = 0.125;
 
 /// Number of samples of which at most one goes to parts that could join clusters nearby: the others are taken
@@ -263,23 +263,34 @@ fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
 impl ClusterParts {
     fn new(graph: ClusterGraph, mixed: Vec<(u32, Vec<ClusterSheet>)>) -> Self {
         let mut parts = Self { graph, mixed, wanted: Vec::new(), alone: 0 };
-        let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
-        for (i, (_, sheets)) in parts.mixed.iter().enumerate() {
-            let all: f64 = sheets.iter().map(|sheet| sheet.moments.count()).sum();
-            let least = all * LEAST_PART.min(0.5 / sheets.len() as f64);
-            for (j, sheet) in sheets.iter().enumerate().skip(1) {
-                let is_alone = parts.neighbours(sheet).next().is_none();
-                let count = sheet.moments.count();
-                if count > 0.0 && (is_alone || (count > 1.0 && count >= least)) {
-                    wanted.push((!is_alone, i, j));
-                }
-            }
+        // Clusters of many sheets here and there are where small parts meet; all over, they are layers.
+        let mut wanted = parts.large(|sheets| LEAST_PART.min(0.5 / sheets as f64));
+        if wanted.len() <= parts.graph.clusters() / MANY {
+            wanted = parts.large(|_| LEAST_PART);
         }
         let sheet = |(_, i, j): (bool, usize, usize)| &parts.mixed[i].1[j];
         wanted.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| sheet(*a).by_size(sheet(*b))));
         parts.alone = wanted.iter().filter(|(joins, ..)| !joins).count();
         parts.wanted = wanted.into_iter().map(|(_, i, j)| (i, j)).collect();
         parts
+    }
+
+    /// Sheets but the first of each cluster that have at least a part of its vertices, as its number of
+    /// sheets tells, or nothing of their own beside them: whether there is, the cluster and the sheet.
+    fn large(&self, least: impl Fn(usize) -> f64) -> Vec<(bool, usize, usize)> {
+        let mut large = Vec::new();
+        for (i, (_, sheets)) in self.mixed.iter().enumerate() {
+            let all: f64 = sheets.iter().map(|sheet| sheet.moments.count()).sum();
+            let least = all * least(sheets.len());
+            for (j, sheet) in sheets.iter().enumerate().skip(1) {
+                let is_alone = self.neighbours(sheet).next().is_none();
+                let count = sheet.moments.count();
+                if count > 0.0 && (is_alone || (count > 1.0 && count >= least)) {
+                    large.push((!is_alone, i, j));
+                }
+            }
+        }
+        large
     }
 
     /// Whether no cluster is of several sheets.
