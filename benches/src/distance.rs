@@ -1,4 +1,4 @@
-//! How far points are from a set of points or of triangles, measured at every one of them.
+//! Distances of points from a set of points or of triangles, measured at every one of them.
 
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -7,7 +7,7 @@ use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
-/// What is said of many distances, in the unit of the points.
+/// Statistics of many distances, in the unit of the points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Distances {
     /// The mean.
@@ -36,7 +36,7 @@ impl Distances {
     }
 }
 
-/// How far points are from the nearest of `set`; `None` where one of both is empty.
+/// Distances of points from the nearest of `set`; `None` where one of both is empty.
 pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
     let set: Vec<[f64; 3]> = set.iter().map(DVec3::to_array).collect();
     let tree = ImmutableKdTree::<f64, 3>::new_from_slice(&set).ok().filter(|_| !set.is_empty())?;
@@ -48,8 +48,8 @@ pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
     (!points.is_empty()).then(|| Distances::measure(points, nearest))
 }
 
-/// How far points are from the nearest of the triangles between `vertices`; `None` where there is no point or
-/// no triangle. Triangles without an area are left out: their corners belong to others.
+/// Distances of points from the nearest of the triangles between `vertices`; `None` where there is no point
+/// or no triangle. Triangles without an area are left out: their corners belong to others.
 ///
 /// # Panics
 /// A triangle has a vertex that does not exist.

@@ -1,4 +1,4 @@
-//! What the benchmark programs share: exact maps of space, models like scans, distances, peers, child
+//! Code that the benchmark programs share: exact maps of space, models like scans, distances, peers, child
 //! processes, and tables.
 
 pub mod distance;
@@ -36,11 +36,11 @@ pub enum Map {
 }
 
 impl Map {
-    /// Those that need no place on the model, the rigid ones first.
+    /// Maps that need no place on the model, the rigid ones first.
     pub const ALL: [Self; 6] =
         [Self::Identity, Self::Rigid, Self::Similarity, Self::Affine, Self::Twist, Self::Bend];
 
-    /// What a table calls it.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Identity => "identity",

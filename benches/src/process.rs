@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// What can go wrong in a measurement is only ever shown to a person.
+/// Result of a measurement, whose error is only ever shown to a person.
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// How a benchmark program ends: with its error told, if there is one.
+/// Ends a benchmark program: prints its error, if there is one.
 #[expect(clippy::print_stderr, reason = "the error of a program is told there")]
 pub fn exit(done: Result<()>) -> ExitCode {
     match done {
@@ -37,9 +37,9 @@ pub struct MemoryPoint {
 /// A process that has ended well.
 #[derive(Debug)]
 pub struct Ran {
-    /// What it printed.
+    /// Standard output.
     pub stdout: Vec<u8>,
-    /// Its whole time, start and end of the process included.
+    /// Seconds of the whole process, its start and end included.
     pub wall: f64,
     /// Processor time of all its threads, in user mode and in the system; NaN where the system does not tell.
     pub cpu: f64,
@@ -53,7 +53,7 @@ impl Ran {
         self.memory.iter().map(|m| m.bytes).fold(f64::NAN, f64::max)
     }
 
-    /// What it printed, as JSON.
+    /// Standard output as JSON.
     ///
     /// # Errors
     /// The output is no JSON.
@@ -89,7 +89,7 @@ pub fn run(command: &mut Command, poll: Option<Duration>) -> Result<Ran> {
     let (start, cpu) = (Instant::now(), children_cpu());
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
     let memory = match poll {
-        // What the child prints is a few lines, which fit into a pipe while nobody reads them.
+        // The child prints a few lines, which fit into a pipe while nobody reads them.
         Some(interval) => watch(&mut child, start, interval)?,
         None => Vec::new(),
     };
@@ -156,19 +156,11 @@ fn watch(child: &mut Child, start: Instant, interval: Duration) -> Result<Vec<Me
     let mut memory = Vec::new();
     while child.try_wait()?.is_none() {
         let seconds = start.elapsed().as_secs_f64();
-        memory.extend(anonymous(child.id()).map(|bytes| MemoryPoint { seconds, bytes }));
+        let bytes = simod_model::memory::anonymous_of(child.id());
+        memory.extend(bytes.map(|bytes| MemoryPoint { seconds, bytes: bytes as f64 }));
         std::thread::sleep(interval);
     }
     Ok(memory)
-}
-
-/// Anonymous resident memory of a process in bytes: not the pages of files that it maps or that the system
-/// caches. `None` once it has ended, and on systems other than Linux.
-fn anonymous(process: u32) -> Option<f64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
-    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes * 1024.0)
 }
 
 /// Processor seconds of this process so far, of all its threads, in user mode and in the system; NaN where

@@ -323,7 +323,7 @@ mod tests {
     fn order_brings_neighbours_together_and_keeps_the_mesh() {
         let mut mesh = octahedron();
         mesh.refine_to(5000);
-        // What a bad exporter makes of it.
+        // Order of triangles as a bad exporter leaves it.
         let scattered = mesh.triangles.iter().map(|t| t[0].wrapping_mul(2_654_435_761)).collect::<Vec<_>>();
         let mut triangles: Vec<_> = scattered.into_iter().zip(mesh.triangles).collect();
         triangles.sort();

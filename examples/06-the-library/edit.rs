@@ -56,7 +56,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What does the steps.
+/// The evaluation that does the steps, and all that it needs.
 struct Work {
     evaluation: Evaluation,
     plugins: Arc<PluginRegistry>,

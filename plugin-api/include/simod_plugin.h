@@ -106,7 +106,7 @@
 // See SIMOD_INTERFACE_MAJOR.
 #define SIMOD_INTERFACE_MINOR 5
 
-// What a call returns if all is well. Everything else is an error.
+// Code that a call returns if all is well. Every other code is an error.
 #define SIMOD_OK 0
 
 // A parameter's value makes no sense, alone or together with others.
@@ -125,7 +125,7 @@
 // A bug of the plugin or the host, or memory that ran out.
 #define SIMOD_INTERNAL 6
 
-// What the plugin needs is not there: an older host, or samples without triangles.
+// Something that the plugin needs is missing: the host is older, or the samples have no triangles.
 #define SIMOD_UNSUPPORTED 7
 
 // One number.
@@ -249,7 +249,7 @@
 typedef struct SimodChoiceDesc {
     // Stable id, kebab-case; stored in files. Of a file: the extension, without a dot.
     const char *id;
-    // What the user reads; the id where it is NULL.
+    // Name for the user; the id where it is NULL.
     const char *label;
 } SimodChoiceDesc;
 
@@ -257,33 +257,33 @@ typedef struct SimodChoiceDesc {
 typedef struct SimodParamDesc {
     // Stable id, kebab-case, unique among the plugin's parameters; stored in files.
     const char *id;
-    // What the user reads; the id where it is NULL.
+    // Name for the user; the id where it is NULL.
     const char *name;
     // One line on what it does. May be NULL.
     const char *hint;
     // Parameters of one group are shown together. May be NULL.
     const char *group;
-    // What it holds: SIMOD_PARAM_...
+    // Kind of value: SIMOD_PARAM_...
     uint32_t kind;
-    // What its numbers are measured in: SIMOD_UNIT_...
+    // Unit of its numbers: SIMOD_UNIT_...
     uint32_t unit;
     // The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY
     // for none on that side.
     double hard_range[2];
-    // What a slider shows, in the same way; values outside are fine.
+    // Range of a slider, in the same way; values outside are fine.
     double soft_range[2];
     // Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most
     // points.
     double default_numbers[4];
     // Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     const double *default_list;
-    // How many numbers `default_list` has.
+    // Number of numbers in `default_list`.
     size_t default_list_length;
     // Default of a choice: the id of one. Else NULL.
     const char *default_text;
     // The alternatives of a choice, or the extensions that a file's name may have (NULL for any).
     const struct SimodChoiceDesc *choices;
-    // How many choices there are.
+    // Number of choices.
     size_t choice_count;
     // 1 if the state must be prepared anew once the value changed: if `prepare` reads it.
     uint8_t invalidates_preparation;
@@ -293,15 +293,16 @@ typedef struct SimodParamDesc {
 typedef struct SimodInputDesc {
     // The id.
     const char *id;
-    // How many the plugin needs: where there are less, it is not called. 0 for what it uses if it is there.
+    // Number of such inputs that the plugin needs: where there are fewer, it is not called. 0 for an input
+    // that it uses if there is one.
     uint32_t at_least;
 } SimodInputDesc;
 
-// What a plugin is, and what it wants.
+// A plugin's description of itself: its names, its parameters and the inputs that it uses.
 typedef struct SimodDescriptor {
     // Stable id, kebab-case; what sessions call the plugin.
     const char *id;
-    // What the user reads.
+    // Name for the user.
     const char *name;
     // The plugin's own version: "major.minor.patch".
     const char *version;
@@ -309,24 +310,24 @@ typedef struct SimodDescriptor {
     const char *summary;
     // The publication that it implements. May be NULL.
     const char *citation;
-    // Who made it, and whom its users may ask. May be NULL.
+    // Author of the plugin, whom its users may ask. May be NULL.
     const char *author;
-    // Where there is more on it. May be NULL.
+    // Address of a page on the plugin. May be NULL.
     const char *url;
     // The plugin's parameters, in the order to show them. Their values come in this order.
     const struct SimodParamDesc *params;
-    // How many parameters there are.
+    // Number of parameters.
     size_t param_count;
     // The inputs that it uses.
     const struct SimodInputDesc *inputs;
-    // How many inputs it uses.
+    // Number of inputs that the plugin uses.
     size_t input_count;
 } SimodDescriptor;
 
 // The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether
 // there is anything to do.
 typedef struct SimodSamples {
-    // How many samples there are.
+    // Number of samples.
     size_t count;
     // Rest positions, local coordinates, all finite.
     const float (*positions)[3];
@@ -347,7 +348,7 @@ typedef struct SimodBounds {
 
 // A part of the samples, with a role.
 typedef struct SimodRegion {
-    // What its samples do: SIMOD_ROLE_...
+    // Role of its samples: SIMOD_ROLE_...
     uint32_t role;
     // One weight per sample, 0 (outside) to 1 (inside).
     const float *weights;
@@ -355,13 +356,13 @@ typedef struct SimodRegion {
 
 // A parameter's value, checked by the host against its description.
 typedef struct SimodParam {
-    // Whose value it is.
+    // Id of the parameter that has this value.
     const char *id;
-    // What it holds: SIMOD_PARAM_...
+    // Kind of value: SIMOD_PARAM_...
     uint32_t kind;
     // The parameter's numbers; NULL where it is a text.
     const double *numbers;
-    // How many numbers there are.
+    // Number of numbers.
     size_t count;
     // The parameter's text; "" where it is numbers.
     const char *text;
@@ -375,7 +376,7 @@ typedef struct SimodPart {
     const void *data;
 } SimodPart;
 
-// What a preparation may depend on.
+// Input of a preparation: all that its state may depend on.
 typedef struct SimodPrepareInput {
     // The samples at rest.
     struct SimodSamples samples;
@@ -383,7 +384,7 @@ typedef struct SimodPrepareInput {
     struct SimodBounds bounds;
     // The regions of the roles that the plugin uses, in the user's order.
     const struct SimodRegion *regions;
-    // How many regions there are.
+    // Number of regions.
     size_t region_count;
     // The values of all parameters, in the order of the description.
     const struct SimodParam *params;
@@ -391,7 +392,7 @@ typedef struct SimodPrepareInput {
     size_t param_count;
     // Inputs that are known by ids: triangles, graph, joints, the model's frame.
     const struct SimodPart *parts;
-    // How many of these there are.
+    // Number of these inputs.
     size_t part_count;
 } SimodPrepareInput;
 
@@ -427,7 +428,7 @@ typedef struct SimodAffine {
     double rows[3][4];
 } SimodAffine;
 
-// What one deformation depends on, besides the state.
+// Input of one deformation: all that it depends on, besides the state.
 typedef struct SimodDeformInput {
     // The samples at rest: those of the preparation.
     struct SimodSamples samples;
@@ -435,7 +436,7 @@ typedef struct SimodDeformInput {
     struct SimodBounds bounds;
     // One map for each region of role SIMOD_ROLE_HANDLE, in their order; all finite.
     const struct SimodAffine *transforms;
-    // How many maps there are.
+    // Number of maps.
     size_t transform_count;
     // The values of all parameters, in the order of the description.
     const struct SimodParam *params;
@@ -443,11 +444,11 @@ typedef struct SimodDeformInput {
     size_t param_count;
     // Inputs that are known by ids: motions of handles, strokes, the effort.
     const struct SimodPart *parts;
-    // How many of these there are.
+    // Number of these inputs.
     size_t part_count;
 } SimodDeformInput;
 
-// A plugin: the exported table. What is not said to be required may be NULL.
+// A plugin: the exported table. Members that are not said to be required may be NULL.
 //
 // States and scratches are pointers to whatever the plugin likes, and NULL where it needs none.
 typedef struct SimodPlugin {
@@ -457,8 +458,9 @@ typedef struct SimodPlugin {
     uint32_t interface_minor;
     // sizeof(SimodPlugin). Required.
     size_t size;
-    // What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
-    // library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds. Required.
+    // Description of the plugin: always the same, and valid for as long as the library is loaded. Called
+    // when the library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds.
+    // Required.
     const struct SimodDescriptor *(*describe)(void);
     // All the work that depends neither on transforms nor on parameters that do not invalidate the
     // preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
@@ -502,18 +504,18 @@ typedef struct SimodEvaluate {
 typedef struct SimodHandleDesc {
     // Stable id, unique among the plugin's handles, without white space; stored in files.
     const char *id;
-    // What the user reads; the id where it is NULL.
+    // Name for the user; the id where it is NULL.
     const char *name;
-    // Where it is at rest, local coordinates.
+    // Position at rest, local coordinates.
     double position[3];
-    // How it may be moved: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
+    // Motions that the handle takes: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
     uint32_t gizmo;
     // The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one
     // along.
     uint32_t parent;
 } SimodHandleDesc;
 
-// Where a plugin puts its handles.
+// List to which a plugin adds its handles.
 typedef struct SimodHandleList {
     // The host's own.
     void *context;
@@ -531,7 +533,7 @@ typedef struct SimodHandles {
                         const struct SimodHost *host);
 } SimodHandles;
 
-// Where a plugin puts the faces between its handles.
+// List to which a plugin adds the faces between its handles.
 typedef struct SimodFaceList {
     // The host's own.
     void *context;
@@ -564,7 +566,7 @@ typedef struct SimodAlias {
     const char *now;
 } SimodAlias;
 
-// Where a plugin puts the settings of now.
+// List to which a plugin adds the settings that a session has to give now.
 typedef struct SimodSettingList {
     // The host's own.
     void *context;
@@ -580,7 +582,7 @@ typedef struct SimodMigration {
     uint32_t state_version;
     // Former names of parameters.
     const struct SimodAlias *aliases;
-    // How many of them there are.
+    // Number of aliases.
     size_t alias_count;
     // Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what
     // it gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases
@@ -596,7 +598,7 @@ typedef struct SimodMigration {
 // SIMOD_NEAREST, of the host: the nearest of the samples of the call that it was asked for in. From any
 // thread; the first time it builds a tree, which is kept with the state.
 typedef struct SimodNearest {
-    // How many samples are within `radius` (INFINITY for all of them); the nearest of them are written to
+    // Number of samples within `radius` (INFINITY for all of them); the nearest of them are written to
     // `found`, nearest first, as many as `capacity`. Those at the same distance are in the order of their
     // indices. 0 where there are no samples in this pose, SIMOD_POSE_...
     size_t (*find)(const struct SimodHost *host,
@@ -609,13 +611,13 @@ typedef struct SimodNearest {
 
 // A point of the triangles between the samples.
 typedef struct SimodSurfacePoint {
-    // Which of the triangles.
+    // Index of the triangle.
     uint32_t triangle;
     // Weights of its corners, at least 0, which add up to 1.
     double weights[3];
-    // Where it is, local coordinates.
+    // Position of the point, local coordinates.
     double position[3];
-    // From the point that was asked for, or along the ray, as a length.
+    // Distance from the point that was asked for, or along the ray: a length in local coordinates.
     double distance;
 } SimodSurfacePoint;
 
@@ -624,15 +626,15 @@ typedef struct SimodSurfacePoint {
 typedef struct SimodSurface {
     // Whether there are triangles in this pose, SIMOD_POSE_...
     bool (*has)(const struct SimodHost *host, uint32_t pose);
-    // The point of the surface that is nearest to a point, if it is not farther away than `radius`; whether
-    // there is one.
+    // Finds the point of the surface that is nearest to a point, if it is not farther away than `radius`;
+    // returns whether there is one.
     bool (*closest)(const struct SimodHost *host,
                     uint32_t pose,
                     const double *point,
                     double radius,
                     struct SimodSurfacePoint *found);
-    // Where a ray meets the surface first, from either side, not farther away than `reach`; whether it does.
-    // The direction may be of any length but zero.
+    // Finds the point in which a ray first meets the surface, from either side, not farther away than
+    // `reach`; returns whether there is one. The direction may be of any length but zero.
     bool (*ray)(const struct SimodHost *host,
                 uint32_t pose,
                 const double *origin,
@@ -646,7 +648,7 @@ typedef struct SimodTriangles {
     // Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
     // and a sample may be in none.
     const uint32_t (*indices)[3];
-    // How many triangles there are, at least one.
+    // Number of triangles, at least one.
     size_t count;
 } SimodTriangles;
 
@@ -664,7 +666,7 @@ typedef struct SimodGraph {
 typedef struct SimodJoint {
     // Stable id, unique among the joints.
     const char *id;
-    // Where it is at rest, local coordinates.
+    // Position at rest, local coordinates.
     double position[3];
     // The index of the joint that it hangs on, less than its own, or SIMOD_ROOT.
     uint32_t parent;
@@ -674,7 +676,7 @@ typedef struct SimodJoint {
 typedef struct SimodJoints {
     // Parents come before those that hang on them.
     const struct SimodJoint *joints;
-    // How many joints there are.
+    // Number of joints.
     size_t count;
 } SimodJoints;
 
@@ -687,21 +689,21 @@ typedef struct SimodModelFrame {
     double scale;
 } SimodModelFrame;
 
-// SIMOD_INPUT_EFFORT, of the deformation: how much time it may take.
+// SIMOD_INPUT_EFFORT, of the deformation: the time that it may take.
 typedef struct SimodEffort {
     // SIMOD_EFFORT_...: a draft, while a handle is dragged, may differ a little from the full result.
     uint32_t effort;
 } SimodEffort;
 
-// SIMOD_INPUT_TIME, of the deformation: when in a sequence it is.
+// SIMOD_INPUT_TIME, of the deformation: its time in a sequence.
 typedef struct SimodTime {
-    // Which frame of the sequence: 0 for the first, and for what is no sequence.
+    // Number of the frame in the sequence: 0 for the first one, and where there is no sequence.
     int64_t frame;
-    // Seconds since its beginning; finite.
+    // Seconds since the beginning of the sequence; finite.
     double seconds;
 } SimodTime;
 
-// SIMOD_INPUT_REST_POSITIONS, of the preparation: where the samples were before all steps.
+// SIMOD_INPUT_REST_POSITIONS, of the preparation: the samples' positions before all steps.
 typedef struct SimodRestPositions {
     // One for each sample, local coordinates, all finite.
     const float (*positions)[3];
@@ -709,9 +711,9 @@ typedef struct SimodRestPositions {
 
 // A property of the model's vertices that is neither position nor normal, as a colour's red or a confidence.
 typedef struct SimodAttribute {
-    // What the model's file calls it, as "red"; no two of them have one name.
+    // Name of the attribute in the model's file, as "red"; no two attributes have one name.
     const char *name;
-    // What its numbers are in the file: SIMOD_ATTRIBUTE_...
+    // Type of its numbers in the file: SIMOD_ATTRIBUTE_...
     uint32_t kind;
     // One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255),
     // all finite: the mean over the vertices that the sample stands for.
@@ -723,7 +725,7 @@ typedef struct SimodAttribute {
 typedef struct SimodAttributes {
     // In the file's order.
     const struct SimodAttribute *attributes;
-    // How many the model has; may be 0.
+    // Number of attributes that the model has; may be 0.
     size_t count;
 } SimodAttributes;
 
@@ -731,23 +733,23 @@ typedef struct SimodAttributes {
 typedef struct SimodOtherModel {
     // The id of the parameter, of SIMOD_PARAM_MODEL, that names it.
     const char *param;
-    // Where the points come from: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
+    // Origin of the points: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
     // plugin takes; those of SIMOD_POINTS_SAMPLES are all that there are.
     uint32_t kind;
-    // How many vertices the model has; of samples their own number.
+    // Number of vertices of the model; of samples the number of samples.
     uint64_t vertices;
-    // How many points there are, at least one.
+    // Number of points, at least one.
     size_t count;
     // Local coordinates, all finite. They may be far away, where the other model has another origin or unit.
     const double (*positions)[3];
     // Unit normals, one for each point: those of the file, or else of the triangles or the neighbours.
     const float (*normals)[3];
-    // Which sample each point is, no two the same: of a sampled model its index, in a file of samples its
+    // Sample that each point is, no two the same: of a sampled model its index, in a file of samples its
     // property "id". NULL for SIMOD_POINTS_SAMPLED.
     const uint64_t *ids;
     // Triangles between the points, counter-clockwise as seen from outside; NULL for a cloud.
     const uint32_t (*triangles)[3];
-    // How many triangles there are.
+    // Number of triangles.
     size_t triangle_count;
 } SimodOtherModel;
 
@@ -756,16 +758,16 @@ typedef struct SimodOtherModel {
 typedef struct SimodOtherModels {
     // In the order of the parameters.
     const struct SimodOtherModel *models;
-    // How many the user gave.
+    // Number of other models that the user gave.
     size_t count;
 } SimodOtherModels;
 
-// SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
+// SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: the motions of the plugin's own handles.
 typedef struct SimodHandleMotions {
     // One map of space for each handle that the plugin placed, in its order: from the rest pose to the
     // user's. That of what a handle hangs on is included; the identity where neither was moved.
     const struct SimodAffine *motions;
-    // How many handles there are.
+    // Number of handles.
     size_t count;
 } SimodHandleMotions;
 
@@ -773,13 +775,13 @@ typedef struct SimodHandleMotions {
 typedef struct SimodStroke {
     // A hash: the same for strokes that are the same in every respect, and nearly surely another for others.
     uint64_t key;
-    // Of the brush, local coordinates; above 0.
+    // Radius of the brush, local coordinates; above 0.
     double radius;
     // 1 is full strength; negative ones do the opposite, as far as the brush has one.
     double strength;
     // The stroke's path on or near the surface, local coordinates: a polyline of at least one point.
     const double (*points)[3];
-    // How many points there are: depends on the user's machine, and must not matter.
+    // Number of points: it depends on the user's machine, and must not matter.
     size_t point_count;
     // The pen's pressure at each point, 0 to 1; NULL where there is no pen.
     const float *pressures;
@@ -793,7 +795,7 @@ typedef struct SimodStroke {
 typedef struct SimodStrokes {
     // First to last.
     const struct SimodStroke *strokes;
-    // How many strokes there are.
+    // Number of strokes.
     size_t count;
 } SimodStrokes;
 

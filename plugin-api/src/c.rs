@@ -18,7 +18,7 @@ pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
 pub const SIMOD_INTERFACE_MINOR: u32 = 5;
 
-/// What a call returns if all is well. Everything else is an error.
+/// Code that a call returns if all is well. Every other code is an error.
 pub const SIMOD_OK: u32 = 0;
 /// A parameter's value makes no sense, alone or together with others.
 pub const SIMOD_INVALID_PARAMETER: u32 = 1;
@@ -31,7 +31,7 @@ pub const SIMOD_NOT_CONVERGED: u32 = 3;
 pub const SIMOD_CANCELLED: u32 = 4;
 /// A bug of the plugin or the host, or memory that ran out.
 pub const SIMOD_INTERNAL: u32 = 6;
-/// What the plugin needs is not there: an older host, or samples without triangles.
+/// Something that the plugin needs is missing: the host is older, or the samples have no triangles.
 pub const SIMOD_UNSUPPORTED: u32 = 7;
 
 /// One number.
@@ -129,7 +129,7 @@ pub const SIMOD_ROOT: u32 = u32::MAX;
 pub struct SimodChoiceDesc {
     /// Stable id, kebab-case; stored in files. Of a file: the extension, without a dot.
     pub id: *const c_char,
-    /// What the user reads; the id where it is NULL.
+    /// Name for the user; the id where it is NULL.
     pub label: *const c_char,
 }
 
@@ -139,33 +139,33 @@ pub struct SimodChoiceDesc {
 pub struct SimodParamDesc {
     /// Stable id, kebab-case, unique among the plugin's parameters; stored in files.
     pub id: *const c_char,
-    /// What the user reads; the id where it is NULL.
+    /// Name for the user; the id where it is NULL.
     pub name: *const c_char,
     /// One line on what it does. May be NULL.
     pub hint: *const c_char,
     /// Parameters of one group are shown together. May be NULL.
     pub group: *const c_char,
-    /// What it holds: SIMOD_PARAM_...
+    /// Kind of value: SIMOD_PARAM_...
     pub kind: u32,
-    /// What its numbers are measured in: SIMOD_UNIT_...
+    /// Unit of its numbers: SIMOD_UNIT_...
     pub unit: u32,
     /// The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY
     /// for none on that side.
     pub hard_range: [f64; 2],
-    /// What a slider shows, in the same way; values outside are fine.
+    /// Range of a slider, in the same way; values outside are fine.
     pub soft_range: [f64; 2],
     /// Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most
     /// points.
     pub default_numbers: [f64; 4],
     /// Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     pub default_list: *const f64,
-    /// How many numbers `default_list` has.
+    /// Number of numbers in `default_list`.
     pub default_list_length: usize,
     /// Default of a choice: the id of one. Else NULL.
     pub default_text: *const c_char,
     /// The alternatives of a choice, or the extensions that a file's name may have (NULL for any).
     pub choices: *const SimodChoiceDesc,
-    /// How many choices there are.
+    /// Number of choices.
     pub choice_count: usize,
     /// 1 if the state must be prepared anew once the value changed: if `prepare` reads it.
     pub invalidates_preparation: u8,
@@ -177,17 +177,18 @@ pub struct SimodParamDesc {
 pub struct SimodInputDesc {
     /// The id.
     pub id: *const c_char,
-    /// How many the plugin needs: where there are less, it is not called. 0 for what it uses if it is there.
+    /// Number of such inputs that the plugin needs: where there are fewer, it is not called. 0 for an input
+    /// that it uses if there is one.
     pub at_least: u32,
 }
 
-/// What a plugin is, and what it wants.
+/// A plugin's description of itself: its names, its parameters and the inputs that it uses.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodDescriptor {
     /// Stable id, kebab-case; what sessions call the plugin.
     pub id: *const c_char,
-    /// What the user reads.
+    /// Name for the user.
     pub name: *const c_char,
     /// The plugin's own version: "major.minor.patch".
     pub version: *const c_char,
@@ -195,17 +196,17 @@ pub struct SimodDescriptor {
     pub summary: *const c_char,
     /// The publication that it implements. May be NULL.
     pub citation: *const c_char,
-    /// Who made it, and whom its users may ask. May be NULL.
+    /// Author of the plugin, whom its users may ask. May be NULL.
     pub author: *const c_char,
-    /// Where there is more on it. May be NULL.
+    /// Address of a page on the plugin. May be NULL.
     pub url: *const c_char,
     /// The plugin's parameters, in the order to show them. Their values come in this order.
     pub params: *const SimodParamDesc,
-    /// How many parameters there are.
+    /// Number of parameters.
     pub param_count: usize,
     /// The inputs that it uses.
     pub inputs: *const SimodInputDesc,
-    /// How many inputs it uses.
+    /// Number of inputs that the plugin uses.
     pub input_count: usize,
 }
 
@@ -213,13 +214,13 @@ pub struct SimodDescriptor {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodParam {
-    /// Whose value it is.
+    /// Id of the parameter that has this value.
     pub id: *const c_char,
-    /// What it holds: SIMOD_PARAM_...
+    /// Kind of value: SIMOD_PARAM_...
     pub kind: u32,
     /// The parameter's numbers; NULL where it is a text.
     pub numbers: *const f64,
-    /// How many numbers there are.
+    /// Number of numbers.
     pub count: usize,
     /// The parameter's text; "" where it is numbers.
     pub text: *const c_char,
@@ -230,7 +231,7 @@ pub struct SimodParam {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodSamples {
-    /// How many samples there are.
+    /// Number of samples.
     pub count: usize,
     /// Rest positions, local coordinates, all finite.
     pub positions: *const [f32; 3],
@@ -255,7 +256,7 @@ pub struct SimodBounds {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodRegion {
-    /// What its samples do: SIMOD_ROLE_...
+    /// Role of its samples: SIMOD_ROLE_...
     pub role: u32,
     /// One weight per sample, 0 (outside) to 1 (inside).
     pub weights: *const f32,
@@ -279,7 +280,7 @@ pub struct SimodPart {
     pub data: *const c_void,
 }
 
-/// What a preparation may depend on.
+/// Input of a preparation: all that its state may depend on.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodPrepareInput {
@@ -289,7 +290,7 @@ pub struct SimodPrepareInput {
     pub bounds: SimodBounds,
     /// The regions of the roles that the plugin uses, in the user's order.
     pub regions: *const SimodRegion,
-    /// How many regions there are.
+    /// Number of regions.
     pub region_count: usize,
     /// The values of all parameters, in the order of the description.
     pub params: *const SimodParam,
@@ -297,11 +298,11 @@ pub struct SimodPrepareInput {
     pub param_count: usize,
     /// Inputs that are known by ids: triangles, graph, joints, the model's frame.
     pub parts: *const SimodPart,
-    /// How many of these there are.
+    /// Number of these inputs.
     pub part_count: usize,
 }
 
-/// What one deformation depends on, besides the state.
+/// Input of one deformation: all that it depends on, besides the state.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodDeformInput {
@@ -311,7 +312,7 @@ pub struct SimodDeformInput {
     pub bounds: SimodBounds,
     /// One map for each region of role SIMOD_ROLE_HANDLE, in their order; all finite.
     pub transforms: *const SimodAffine,
-    /// How many maps there are.
+    /// Number of maps.
     pub transform_count: usize,
     /// The values of all parameters, in the order of the description.
     pub params: *const SimodParam,
@@ -319,7 +320,7 @@ pub struct SimodDeformInput {
     pub param_count: usize,
     /// Inputs that are known by ids: motions of handles, strokes, the effort.
     pub parts: *const SimodPart,
-    /// How many of these there are.
+    /// Number of these inputs.
     pub part_count: usize,
 }
 
@@ -330,7 +331,7 @@ pub struct SimodTriangles {
     /// Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
     /// and a sample may be in none.
     pub indices: *const [u32; 3],
-    /// How many triangles there are, at least one.
+    /// Number of triangles, at least one.
     pub count: usize,
 }
 
@@ -357,7 +358,7 @@ pub struct SimodModelFrame {
     pub scale: f64,
 }
 
-/// SIMOD_INPUT_EFFORT, of the deformation: how much time it may take.
+/// SIMOD_INPUT_EFFORT, of the deformation: the time that it may take.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodEffort {
@@ -365,17 +366,17 @@ pub struct SimodEffort {
     pub effort: u32,
 }
 
-/// SIMOD_INPUT_TIME, of the deformation: when in a sequence it is.
+/// SIMOD_INPUT_TIME, of the deformation: its time in a sequence.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodTime {
-    /// Which frame of the sequence: 0 for the first, and for what is no sequence.
+    /// Number of the frame in the sequence: 0 for the first one, and where there is no sequence.
     pub frame: i64,
-    /// Seconds since its beginning; finite.
+    /// Seconds since the beginning of the sequence; finite.
     pub seconds: f64,
 }
 
-/// SIMOD_INPUT_REST_POSITIONS, of the preparation: where the samples were before all steps.
+/// SIMOD_INPUT_REST_POSITIONS, of the preparation: the samples' positions before all steps.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodRestPositions {
@@ -387,9 +388,9 @@ pub struct SimodRestPositions {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodAttribute {
-    /// What the model's file calls it, as "red"; no two of them have one name.
+    /// Name of the attribute in the model's file, as "red"; no two attributes have one name.
     pub name: *const c_char,
-    /// What its numbers are in the file: SIMOD_ATTRIBUTE_...
+    /// Type of its numbers in the file: SIMOD_ATTRIBUTE_...
     pub kind: u32,
     /// One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255),
     /// all finite: the mean over the vertices that the sample stands for.
@@ -403,7 +404,7 @@ pub struct SimodAttribute {
 pub struct SimodAttributes {
     /// In the file's order.
     pub attributes: *const SimodAttribute,
-    /// How many the model has; may be 0.
+    /// Number of attributes that the model has; may be 0.
     pub count: usize,
 }
 
@@ -413,23 +414,23 @@ pub struct SimodAttributes {
 pub struct SimodOtherModel {
     /// The id of the parameter, of SIMOD_PARAM_MODEL, that names it.
     pub param: *const c_char,
-    /// Where the points come from: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
+    /// Origin of the points: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
     /// plugin takes; those of SIMOD_POINTS_SAMPLES are all that there are.
     pub kind: u32,
-    /// How many vertices the model has; of samples their own number.
+    /// Number of vertices of the model; of samples the number of samples.
     pub vertices: u64,
-    /// How many points there are, at least one.
+    /// Number of points, at least one.
     pub count: usize,
     /// Local coordinates, all finite. They may be far away, where the other model has another origin or unit.
     pub positions: *const [f64; 3],
     /// Unit normals, one for each point: those of the file, or else of the triangles or the neighbours.
     pub normals: *const [f32; 3],
-    /// Which sample each point is, no two the same: of a sampled model its index, in a file of samples its
+    /// Sample that each point is, no two the same: of a sampled model its index, in a file of samples its
     /// property "id". NULL for SIMOD_POINTS_SAMPLED.
     pub ids: *const u64,
     /// Triangles between the points, counter-clockwise as seen from outside; NULL for a cloud.
     pub triangles: *const [u32; 3],
-    /// How many triangles there are.
+    /// Number of triangles.
     pub triangle_count: usize,
 }
 
@@ -440,7 +441,7 @@ pub struct SimodOtherModel {
 pub struct SimodOtherModels {
     /// In the order of the parameters.
     pub models: *const SimodOtherModel,
-    /// How many the user gave.
+    /// Number of other models that the user gave.
     pub count: usize,
 }
 
@@ -450,7 +451,7 @@ pub struct SimodOtherModels {
 pub struct SimodJoint {
     /// Stable id, unique among the joints.
     pub id: *const c_char,
-    /// Where it is at rest, local coordinates.
+    /// Position at rest, local coordinates.
     pub position: [f64; 3],
     /// The index of the joint that it hangs on, less than its own, or SIMOD_ROOT.
     pub parent: u32,
@@ -462,18 +463,18 @@ pub struct SimodJoint {
 pub struct SimodJoints {
     /// Parents come before those that hang on them.
     pub joints: *const SimodJoint,
-    /// How many joints there are.
+    /// Number of joints.
     pub count: usize,
 }
 
-/// SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
+/// SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: the motions of the plugin's own handles.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodHandleMotions {
     /// One map of space for each handle that the plugin placed, in its order: from the rest pose to the
     /// user's. That of what a handle hangs on is included; the identity where neither was moved.
     pub motions: *const SimodAffine,
-    /// How many handles there are.
+    /// Number of handles.
     pub count: usize,
 }
 
@@ -483,13 +484,13 @@ pub struct SimodHandleMotions {
 pub struct SimodStroke {
     /// A hash: the same for strokes that are the same in every respect, and nearly surely another for others.
     pub key: u64,
-    /// Of the brush, local coordinates; above 0.
+    /// Radius of the brush, local coordinates; above 0.
     pub radius: f64,
     /// 1 is full strength; negative ones do the opposite, as far as the brush has one.
     pub strength: f64,
     /// The stroke's path on or near the surface, local coordinates: a polyline of at least one point.
     pub points: *const [f64; 3],
-    /// How many points there are: depends on the user's machine, and must not matter.
+    /// Number of points: it depends on the user's machine, and must not matter.
     pub point_count: usize,
     /// The pen's pressure at each point, 0 to 1; NULL where there is no pen.
     pub pressures: *const f32,
@@ -505,7 +506,7 @@ pub struct SimodStroke {
 pub struct SimodStrokes {
     /// First to last.
     pub strokes: *const SimodStroke,
-    /// How many strokes there are.
+    /// Number of strokes.
     pub count: usize,
 }
 
@@ -544,7 +545,7 @@ pub struct SimodHost {
     pub extension: unsafe extern "C" fn(host: *const SimodHost, id: *const c_char) -> *const c_void,
 }
 
-/// A plugin: the exported table. What is not said to be required may be NULL.
+/// A plugin: the exported table. Members that are not said to be required may be NULL.
 ///
 /// States and scratches are pointers to whatever the plugin likes, and NULL where it needs none.
 #[repr(C)]
@@ -556,8 +557,9 @@ pub struct SimodPlugin {
     pub interface_minor: u32,
     /// sizeof(SimodPlugin). Required.
     pub size: usize,
-    /// What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
-    /// library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds. Required.
+    /// Description of the plugin: always the same, and valid for as long as the library is loaded. Called
+    /// when the library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds.
+    /// Required.
     pub describe: Option<unsafe extern "C" fn() -> *const SimodDescriptor>,
     /// All the work that depends neither on transforms nor on parameters that do not invalidate the
     /// preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
@@ -619,18 +621,18 @@ pub struct SimodEvaluate {
 pub struct SimodHandleDesc {
     /// Stable id, unique among the plugin's handles, without white space; stored in files.
     pub id: *const c_char,
-    /// What the user reads; the id where it is NULL.
+    /// Name for the user; the id where it is NULL.
     pub name: *const c_char,
-    /// Where it is at rest, local coordinates.
+    /// Position at rest, local coordinates.
     pub position: [f64; 3],
-    /// How it may be moved: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
+    /// Motions that the handle takes: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
     pub gizmo: u32,
     /// The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one
     /// along.
     pub parent: u32,
 }
 
-/// Where a plugin puts its handles.
+/// List to which a plugin adds its handles.
 #[repr(C)]
 #[derive(Debug)]
 pub struct SimodHandleList {
@@ -656,7 +658,7 @@ pub struct SimodHandles {
     >,
 }
 
-/// Where a plugin puts the faces between its handles.
+/// List to which a plugin adds the faces between its handles.
 #[repr(C)]
 #[derive(Debug)]
 pub struct SimodFaceList {
@@ -701,7 +703,7 @@ pub struct SimodAlias {
     pub now: *const c_char,
 }
 
-/// Where a plugin puts the settings of now.
+/// List to which a plugin adds the settings that a session has to give now.
 #[repr(C)]
 #[derive(Debug)]
 pub struct SimodSettingList {
@@ -721,7 +723,7 @@ pub struct SimodMigration {
     pub state_version: u32,
     /// Former names of parameters.
     pub aliases: *const SimodAlias,
-    /// How many of them there are.
+    /// Number of aliases.
     pub alias_count: usize,
     /// Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what
     /// it gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases
@@ -743,7 +745,7 @@ pub struct SimodMigration {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodNearest {
-    /// How many samples are within `radius` (INFINITY for all of them); the nearest of them are written to
+    /// Number of samples within `radius` (INFINITY for all of them); the nearest of them are written to
     /// `found`, nearest first, as many as `capacity`. Those at the same distance are in the order of their
     /// indices. 0 where there are no samples in this pose, SIMOD_POSE_...
     pub find: unsafe extern "C" fn(
@@ -760,13 +762,13 @@ pub struct SimodNearest {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodSurfacePoint {
-    /// Which of the triangles.
+    /// Index of the triangle.
     pub triangle: u32,
     /// Weights of its corners, at least 0, which add up to 1.
     pub weights: [f64; 3],
-    /// Where it is, local coordinates.
+    /// Position of the point, local coordinates.
     pub position: [f64; 3],
-    /// From the point that was asked for, or along the ray, as a length.
+    /// Distance from the point that was asked for, or along the ray: a length in local coordinates.
     pub distance: f64,
 }
 
@@ -777,8 +779,8 @@ pub struct SimodSurfacePoint {
 pub struct SimodSurface {
     /// Whether there are triangles in this pose, SIMOD_POSE_...
     pub has: unsafe extern "C" fn(host: *const SimodHost, pose: u32) -> bool,
-    /// The point of the surface that is nearest to a point, if it is not farther away than `radius`; whether
-    /// there is one.
+    /// Finds the point of the surface that is nearest to a point, if it is not farther away than `radius`;
+    /// returns whether there is one.
     pub closest: unsafe extern "C" fn(
         host: *const SimodHost,
         pose: u32,
@@ -786,8 +788,8 @@ pub struct SimodSurface {
         radius: f64,
         found: *mut SimodSurfacePoint,
     ) -> bool,
-    /// Where a ray meets the surface first, from either side, not farther away than `reach`; whether it does.
-    /// The direction may be of any length but zero.
+    /// Finds the point in which a ray first meets the surface, from either side, not farther away than
+    /// `reach`; returns whether there is one. The direction may be of any length but zero.
     pub ray: unsafe extern "C" fn(
         host: *const SimodHost,
         pose: u32,

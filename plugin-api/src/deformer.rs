@@ -1,4 +1,4 @@
-//! What a plugin's author implements, and the shims between it and the boundary.
+//! The traits that a plugin's author implements, and the shims between them and the boundary.
 
 use crate::{
     DeformInput, Descriptor, Extension, HandleDesc, Host, Migrate, MigrationDesc, PluginError, PluginMod,
@@ -12,12 +12,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A deformation method: prepared once, then deforming interactively.
 pub trait Deformer: Sized + 'static {
-    /// What the preparation gives: factorisations, weights. Immutable, shared by threads.
+    /// Result of the preparation: factorisations, weights. Immutable, shared by threads.
     type State: Send + Sync + 'static;
     /// Working memory that `deform` keeps from one call to the next. Never a place for results.
     type Scratch: Default + Send + 'static;
 
-    /// What the plugin is, and what it wants. Always the same; called once, at load.
+    /// The plugin's description of itself. Always the same; called once, at load.
     fn descriptor() -> Descriptor;
 
     /// All the work that does not depend on the handles' transforms, nor on parameters that do not invalidate

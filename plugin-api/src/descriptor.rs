@@ -1,4 +1,4 @@
-//! What a plugin is, and what it wants.
+//! A plugin's description of itself: its names, its parameters and the inputs that it uses.
 
 use crate::{
     Attributes, Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, RestPositions, Strokes, Time,
@@ -16,12 +16,13 @@ use abi_stable::{
 pub struct InputDesc {
     /// Such as `simod.handle-regions/1`.
     pub id: RString,
-    /// How many the plugin needs: where there are less, it is not called. 0 for one that it uses if it is
-    /// there. A host that does not know the id passes over it if it is 0, and refuses the plugin otherwise.
+    /// Number of such inputs that the plugin needs: where there are fewer, it is not called. 0 for an input
+    /// that it uses if there is one. A host that does not know the id passes over the input if this is 0, and
+    /// refuses the plugin otherwise.
     pub at_least: u32,
 }
 
-/// Which of the inputs of this version a plugin uses, so that the host offers just those.
+/// The inputs of this version that a plugin uses, so that the host offers just those.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Consumes {
     /// Regions that stay where they are.
@@ -81,10 +82,11 @@ impl Consumes {
         ]
     }
 
-    /// What a plugin's inputs come to; the first one that this version does not have, if the plugin needs it.
+    /// Reads a plugin's list of inputs. Ids that this version does not have are passed over where the plugin
+    /// can do without them.
     ///
     /// # Errors
-    /// The id of that input.
+    /// The id of the first input that the plugin needs and this version does not have.
     pub fn from_inputs(inputs: &[InputDesc]) -> Result<Self, &str> {
         let mut this = Self::default();
         for InputDesc { id, at_least } in inputs {
@@ -113,9 +115,9 @@ impl Consumes {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq)]
 pub struct Descriptor {
-    /// Stable id, kebab-case; what a session file calls it.
+    /// Stable id of the plugin, kebab-case, as session files have it.
     pub id: RString,
-    /// What the user reads.
+    /// Name for the user.
     pub name: RString,
     /// The plugin's own version, `major.minor.patch`.
     pub version: RString,
@@ -123,13 +125,13 @@ pub struct Descriptor {
     pub summary: RString,
     /// The publication that it implements; may be empty.
     pub citation: RString,
-    /// Who made it, and whom its users may ask; may be empty.
+    /// Author of the plugin, whom its users may ask; may be empty.
     pub author: RString,
-    /// Where there is more on it; may be empty.
+    /// Address of a page on the plugin; may be empty.
     pub url: RString,
     /// The plugin's parameters, in the order to show them.
     pub params: RVec<ParamDesc>,
-    /// Which inputs it uses.
+    /// Inputs that the plugin uses.
     pub inputs: RVec<InputDesc>,
 }
 
@@ -163,14 +165,14 @@ impl Descriptor {
         self
     }
 
-    /// Who made it, and whom its users may ask.
+    /// Sets the author, whom users may ask.
     #[must_use]
     pub fn author(mut self, author: &str) -> Self {
         self.author = author.into();
         self
     }
 
-    /// Where there is more on it.
+    /// Sets the address of a page on the plugin.
     #[must_use]
     pub fn url(mut self, url: &str) -> Self {
         self.url = url.into();
@@ -184,7 +186,7 @@ impl Descriptor {
         self
     }
 
-    /// Which inputs it uses.
+    /// Adds the inputs that the plugin uses.
     #[must_use]
     pub fn consumes(mut self, consumes: Consumes) -> Self {
         let used = consumes.inputs().into_iter().filter(|(_, used, _)| *used);
@@ -208,7 +210,7 @@ mod tests {
         };
         let mut inputs = Descriptor::new("x", "X", "1.0.0").consumes(consumes).inputs;
         assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
-        // What a later version has: passed over where it is not needed.
+        // An input of a later version: passed over where it is not needed.
         inputs.push(InputDesc { id: "simod.smell/1".into(), at_least: 0 });
         assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
         inputs.push(InputDesc { id: "simod.sound/1".into(), at_least: 1 });

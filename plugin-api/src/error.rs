@@ -5,7 +5,7 @@ use abi_stable::{StableAbi, std_types::RString};
 /// Result of every fallible call of a plugin.
 pub type PluginResult<T> = Result<T, PluginError>;
 
-/// What sort of failure it was.
+/// Sort of a failure.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ErrorCode(pub u32);
@@ -23,19 +23,19 @@ impl ErrorCode {
     pub const PANICKED: Self = Self(5);
     /// A bug: of the plugin, or of the host in calling it.
     pub const INTERNAL: Self = Self(6);
-    /// What the plugin needs is not there: an older host, or samples without triangles.
+    /// Something that the plugin needs is missing: the host is older, or the samples have no triangles.
     pub const UNSUPPORTED: Self = Self(7);
 }
 
-/// A failure: what sort, one line that says what is wrong, one that says what to do (may be empty).
+/// A failure: its sort, one line that says what is wrong, one that says what to do (may be empty).
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
 pub struct PluginError {
-    /// What sort of failure it was.
+    /// Sort of the failure.
     pub code: ErrorCode,
-    /// What is wrong: one line, lower case, no full stop.
+    /// Message that says what is wrong: one line, lower case, no full stop.
     pub message: RString,
-    /// What to do about it, in the same form.
+    /// Advice on what to do about the failure, in the same form; may be empty.
     pub hint: RString,
 }
 
@@ -65,7 +65,7 @@ impl PluginError {
         Self::new(ErrorCode::INTERNAL, message)
     }
 
-    /// This failure with a line that says what to do.
+    /// Sets the line that says what to do.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = RString::from(hint.into());

@@ -2,7 +2,7 @@
 
 use abi_stable::{StableAbi, std_types::RString};
 
-/// How a handle may be moved; what a viewer offers to grab.
+/// Set of the motions that a handle takes, for which a viewer offers something to grab.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gizmo(pub u32);
@@ -15,7 +15,7 @@ impl Gizmo {
     /// The handle can be scaled about its position.
     pub const SCALE: Self = Self(4);
 
-    /// Whether all of `other` is among these.
+    /// Whether all motions of `other` are among these.
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
@@ -35,11 +35,11 @@ pub struct HandleDesc {
     /// Stable id, unique among the plugin's handles; stored in files. Any text without white space, such as
     /// `3,3,3`.
     pub id: RString,
-    /// What the user reads; the id where it is empty.
+    /// Name for the user; the id where it is empty.
     pub name: RString,
-    /// Where it is at rest, local coordinates.
+    /// Position at rest, local coordinates.
     pub position: [f64; 3],
-    /// How it may be moved. Bits that the host does not know are passed over.
+    /// Motions that the handle takes. Bits that the host does not know are passed over.
     pub gizmo: Gizmo,
     /// The index of the handle that it hangs on, less than its own, or [`HandleDesc::ROOT`]: a viewer draws a
     /// bone between the two, and the parent's motion moves it along.
@@ -55,21 +55,21 @@ impl HandleDesc {
         Self { id: id.into(), name: RString::new(), position, gizmo: Gizmo::TRANSLATE, parent: Self::ROOT }
     }
 
-    /// What the user reads.
+    /// Sets the name for the user.
     #[must_use]
     pub fn name(mut self, name: &str) -> Self {
         self.name = name.into();
         self
     }
 
-    /// How it may be moved.
+    /// Sets the motions that the handle takes.
     #[must_use]
     pub fn gizmo(mut self, gizmo: Gizmo) -> Self {
         self.gizmo = gizmo;
         self
     }
 
-    /// The index of the handle that it hangs on.
+    /// Sets the index of the handle that this one hangs on.
     #[must_use]
     pub fn parent(mut self, parent: u32) -> Self {
         self.parent = parent;

@@ -1,9 +1,9 @@
-//! The other direction: what a plugin may ask of the host.
+//! The calls from a plugin to its host: progress, messages, threads, look-ups.
 
 use crate::services::{Lookups, Nearest, NearestService, Pose, Surface, SurfaceService};
 use crate::{ErrorCode, Extension, ExtensionInterface, Host, PluginError, PluginResult};
 
-/// How much a message matters.
+/// Level of a message: how much it matters, and to whom.
 #[repr(transparent)]
 #[derive(abi_stable::StableAbi, Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct LogLevel(pub u32);
@@ -17,9 +17,10 @@ impl LogLevel {
     pub const WARNING: Self = Self(3);
 }
 
-/// What a host implements; [`Host::new`] makes it callable across the boundary.
+/// The calls that a host implements; [`Host::new`] makes them callable across the boundary.
 pub trait HostCalls: Sync {
-    /// So much of the call is done, 0 to 1. Whether to go on: `false` asks the plugin to stop.
+    /// Takes the part of the call that is done, 0 to 1, and returns whether to go on: `false` asks the plugin
+    /// to stop.
     fn progress(&self, fraction: f64) -> bool;
 
     /// A line for the user.
@@ -37,7 +38,7 @@ pub trait HostCalls: Sync {
         })
     }
 
-    /// What plugins may look up in the samples of this call.
+    /// The look-ups that plugins may do in the samples of this call.
     fn lookups(&self) -> Option<&dyn Lookups> {
         None
     }

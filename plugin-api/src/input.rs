@@ -1,4 +1,4 @@
-//! What a plugin works on. Borrowed from the host for the length of one call; nothing is copied.
+//! The input of a plugin's calls, borrowed from the host for the length of one call; nothing is copied.
 
 use crate::opaque::Part;
 use crate::params::{Param, Params};
@@ -57,15 +57,15 @@ impl Bounds {
     }
 }
 
-/// What a region's samples do.
+/// Role of a region: what its samples do.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Role(pub u32);
 
 impl Role {
-    /// They stay where they are.
+    /// The region's samples stay where they are.
     pub const FIXED: Self = Self(1);
-    /// They follow the region's transform.
+    /// The region's samples follow its transform.
     pub const HANDLE: Self = Self(2);
 }
 
@@ -73,7 +73,7 @@ impl Role {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct Region<'a> {
-    /// What its samples do.
+    /// Role of the region's samples.
     pub role: Role,
     weights: RSlice<'a, f32>,
 }
@@ -109,8 +109,8 @@ impl Affine {
     }
 }
 
-/// What a preparation may depend on. The host calls `prepare` again once any of it changed, parameters
-/// that do not invalidate the preparation excepted.
+/// Input of a preparation: all that its state may depend on. The host calls `prepare` again once any of it
+/// changed, parameters that do not invalidate the preparation excepted.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct PrepareInput<'a> {
@@ -168,8 +168,8 @@ impl<'a> PrepareInput<'a> {
         self.part()
     }
 
-    /// Where the samples were before all steps, for plugins that [ask for
-    /// it](crate::Consumes::rest_positions); nothing where the host is older than this input.
+    /// The samples' positions before all steps, for plugins that [ask for
+    /// them](crate::Consumes::rest_positions); nothing where the host is older than this input.
     pub fn rest_positions(&self) -> Option<&'a [[f32; 3]]> {
         self.part().map(RestPositions::all)
     }
@@ -209,7 +209,7 @@ impl<'a> PrepareInput<'a> {
     }
 }
 
-/// What one deformation depends on, besides the state.
+/// Input of one deformation: all that it depends on, besides the state.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct DeformInput<'a> {
@@ -250,13 +250,13 @@ impl<'a> DeformInput<'a> {
         self.part().map_or(&[], HandleMotions::all)
     }
 
-    /// How much time this may take; [`Effort::FULL`] where the host says nothing.
+    /// The time that this deformation may take; [`Effort::FULL`] where the host says nothing.
     pub fn effort(&self) -> Effort {
         self.part().copied().unwrap_or(Effort::FULL)
     }
 
-    /// When in a sequence this is, for plugins that [ask for it](crate::Consumes::time); the beginning where
-    /// the host says nothing.
+    /// The time of this deformation in a sequence, for plugins that [ask for it](crate::Consumes::time); the
+    /// beginning where the host says nothing.
     pub fn time(&self) -> Time {
         self.part().copied().unwrap_or_default()
     }

@@ -139,7 +139,7 @@ pub use root::{
 };
 pub use services::{Lookups, Nearest, NearestService, Pose, Surface, SurfacePoint, SurfaceService};
 
-/// What the macros and the host need of the crates below; not for plugins.
+/// Items that the macros and the host need of the modules above and of `abi_stable`; not for plugins.
 #[doc(hidden)]
 pub mod __private {
     pub use crate::deformer::{capability, find_extension, no_extension, quiet_panics, root_module};

@@ -16,7 +16,7 @@ pub struct AliasDesc {
     pub now: RString,
 }
 
-/// What a plugin says of its older sessions.
+/// A plugin's description of its older sessions: the version of now, and former names of parameters.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
 pub struct MigrationDesc {
@@ -47,7 +47,7 @@ impl MigrationDesc {
 pub struct Setting {
     /// The parameter's id.
     pub id: RString,
-    /// What it looks like: [`FLOAT`](ParamKind::FLOAT) or [`INT`](ParamKind::INT) for a number,
+    /// Kind that the value looks like: [`FLOAT`](ParamKind::FLOAT) or [`INT`](ParamKind::INT) for a number,
     /// [`BOOL`](ParamKind::BOOL), [`CHOICE`](ParamKind::CHOICE) for any text,
     /// [`DIRECTION`](ParamKind::DIRECTION) for three numbers, [`COLOUR`](ParamKind::COLOUR) for four,
     /// [`CURVE`](ParamKind::CURVE) for pairs of them.
@@ -75,17 +75,17 @@ impl Setting {
 pub struct Settings(Vec<Setting>);
 
 impl Settings {
-    /// These settings.
+    /// Wraps settings in the order in which they are given.
     pub fn new(settings: Vec<Setting>) -> Self {
         Self(settings)
     }
 
-    /// All of them.
+    /// Returns all settings.
     pub fn into_inner(self) -> Vec<Setting> {
         self.0
     }
 
-    /// All of them.
+    /// All settings.
     pub fn all(&self) -> &[Setting] {
         &self.0
     }

@@ -41,7 +41,7 @@ extern "C" fn drop_box<T>(data: *mut c_void) {
     }
 }
 
-/// What a plugin prepared: immutable, shared by threads, freed by the code that made it.
+/// State that a plugin prepared: immutable, shared by threads, freed by the code that made it.
 #[repr(C)]
 #[derive(StableAbi, Debug)]
 pub struct State {
@@ -214,7 +214,7 @@ extern "C" fn call_log<T: HostCalls>(context: *const c_void, level: LogLevel, me
     guarded(context, (), |calls: &T| calls.log(level, message.as_str()));
 }
 
-/// What a plugin has done in parallel, and the first panic of it.
+/// Body that a plugin has called in parallel, and its first panic.
 struct Work<'b> {
     body: &'b (dyn Fn(usize) + Sync),
     panic: Mutex<Option<Box<dyn Any + Send>>>,
@@ -289,7 +289,7 @@ extern "C" fn call_nearest<T: HostCalls>(
     look_up::<T, _>(host, 0, |lookups| lookups.nearest(pose, *point, radius, found.as_mut_slice()))
 }
 
-/// Whether something was found, and what.
+/// Writes down the point that was found, if any, and returns whether there was one.
 fn give(found: Option<SurfacePoint>, to: &mut SurfacePoint) -> bool {
     found.map(|found| *to = found).is_some()
 }

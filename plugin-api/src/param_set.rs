@@ -190,6 +190,6 @@ pub trait Choice: Copy + 'static {
     /// Stable id, kebab-case; stored in files.
     fn id(&self) -> &'static str;
 
-    /// What the user reads.
+    /// Label for the user.
     fn label(&self) -> &'static str;
 }

@@ -10,7 +10,7 @@ use abi_stable::{
 };
 use std::path::Path;
 
-/// What a parameter holds.
+/// Kind of a parameter: the sort of value that it holds.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ParamKind(pub u32);
@@ -42,7 +42,7 @@ impl ParamKind {
     pub const MODEL: Self = Self(10);
 }
 
-/// What a parameter's numbers are measured in.
+/// Unit of a parameter's numbers.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Unit(pub u32);
@@ -66,7 +66,7 @@ impl Unit {
 pub struct ChoiceDesc {
     /// Stable id, kebab-case; stored in files.
     pub id: RString,
-    /// What the user reads.
+    /// Label for the user.
     pub label: RString,
 }
 
@@ -76,19 +76,19 @@ pub struct ChoiceDesc {
 pub struct ParamDesc {
     /// Stable id, kebab-case; stored in files.
     pub id: RString,
-    /// What the user reads.
+    /// Name for the user.
     pub name: RString,
     /// One line on what it does.
     pub hint: RString,
     /// Parameters of one group are shown together; empty for none.
     pub group: RString,
-    /// What it holds.
+    /// Kind of value.
     pub kind: ParamKind,
-    /// What its numbers are measured in.
+    /// Unit of its numbers.
     pub unit: Unit,
     /// Values outside are refused by the host. Infinite where there is no limit.
     pub hard_range: [f64; 2],
-    /// What a slider shows; values outside are fine.
+    /// Range of a slider; values outside are fine.
     pub soft_range: [f64; 2],
     /// Default numbers, as many as the kind has; of a [`ParamKind::MODEL`] the most points.
     pub default_numbers: RVec<f64>,
@@ -181,42 +181,42 @@ impl ParamDesc {
         Self { invalidates_preparation: true, ..Self::new(id, name, ParamKind::MODEL, &[f64::from(points)]) }
     }
 
-    /// One line on what it does.
+    /// Sets the line on what the parameter does.
     #[must_use]
     pub fn hint(mut self, hint: &str) -> Self {
         self.hint = hint.into();
         self
     }
 
-    /// Shown together with others of the group.
+    /// Sets the group, whose parameters are shown together.
     #[must_use]
     pub fn group(mut self, group: &str) -> Self {
         self.group = group.into();
         self
     }
 
-    /// What its numbers are measured in.
+    /// Sets the unit of its numbers.
     #[must_use]
     pub fn unit(mut self, unit: Unit) -> Self {
         self.unit = unit;
         self
     }
 
-    /// Values outside are refused by the host.
+    /// Sets the range outside of which the host refuses values.
     #[must_use]
     pub fn hard(mut self, min: f64, max: f64) -> Self {
         self.hard_range = [min, max];
         self
     }
 
-    /// What a slider shows.
+    /// Sets the range of a slider.
     #[must_use]
     pub fn soft(mut self, min: f64, max: f64) -> Self {
         self.soft_range = [min, max];
         self
     }
 
-    /// The state depends on it.
+    /// Says that the state depends on the parameter.
     #[must_use]
     pub fn invalidates_preparation(mut self) -> Self {
         self.invalidates_preparation = true;
@@ -250,7 +250,7 @@ impl<'a> Param<'a> {
         self.id.as_str()
     }
 
-    /// What it holds.
+    /// Kind of value.
     pub fn kind(&self) -> ParamKind {
         self.kind
     }

@@ -59,8 +59,8 @@ impl<'a> Graph<'a> {
         &self.neighbours.as_slice()[starts[i] as usize..starts[i + 1] as usize]
     }
 
-    /// Where the neighbours of each sample begin among [`all`](Self::all), and after the last one their
-    /// number.
+    /// Index among [`all`](Self::all) of each sample's first neighbour, and after the last one the number of
+    /// all neighbours.
     pub fn starts(&self) -> &'a [u32] {
         self.starts.as_slice()
     }
@@ -81,8 +81,8 @@ impl<'a> Graph<'a> {
     }
 }
 
-/// Where local coordinates lie in the model's, `simod.model-frame/1`: of the preparation, and where a plugin
-/// [places its handles](crate::Handles). For files in model coordinates, as other programs write them.
+/// Map between local coordinates and the model's, `simod.model-frame/1`: of the preparation, and where a
+/// plugin [places its handles](crate::Handles). For files in model coordinates, as other programs write them.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq)]
 pub struct ModelFrame {
@@ -93,18 +93,18 @@ pub struct ModelFrame {
 }
 
 impl ModelFrame {
-    /// From model coordinates to local ones.
+    /// Converts a point from model coordinates to local ones.
     pub fn to_local(&self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|i| (p[i] - self.origin[i]) / self.scale)
     }
 
-    /// From local coordinates to the model's.
+    /// Converts a point from local coordinates to the model's.
     pub fn to_model(&self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|i| p[i] * self.scale + self.origin[i])
     }
 }
 
-/// How much time a deformation may take, `simod.effort/1`: of the deformation.
+/// Time that a deformation may take, `simod.effort/1`: of the deformation.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effort(pub u32);
@@ -117,18 +117,18 @@ impl Effort {
     pub const DRAFT: Self = Self(2);
 }
 
-/// When in a sequence a deformation is, `simod.time/1`: of the deformation. The same samples and motions at
+/// Time of a deformation in a sequence, `simod.time/1`: of the deformation. The same samples and motions at
 /// another time may go elsewhere.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Default)]
 pub struct Time {
-    /// Which frame of the sequence: 0 for the first, and for what is no sequence.
+    /// Number of the frame in the sequence: 0 for the first one, and where there is no sequence.
     pub frame: i64,
-    /// Seconds since its beginning; finite.
+    /// Seconds since the beginning of the sequence; finite.
     pub seconds: f64,
 }
 
-/// Where the samples were before all steps, `simod.rest-positions/1`: of the preparation.
+/// Positions of the samples before all steps, `simod.rest-positions/1`: of the preparation.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct RestPositions<'a> {
@@ -147,7 +147,7 @@ impl<'a> RestPositions<'a> {
     }
 }
 
-/// What an attribute's numbers are in the model's file.
+/// Type of an attribute's numbers in the model's file.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AttributeKind(pub u32);
@@ -176,7 +176,7 @@ impl AttributeKind {
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct Attribute<'a> {
     name: RStr<'a>,
-    /// What its numbers are in the file.
+    /// Type of the attribute's numbers in the file.
     pub kind: AttributeKind,
     values: RSlice<'a, f32>,
 }
@@ -187,7 +187,7 @@ impl<'a> Attribute<'a> {
         Self { name: name.into(), kind, values: values.into() }
     }
 
-    /// What the model's file calls it, as `red`; no two of them have one name.
+    /// Name of the attribute in the model's file, as `red`; no two attributes have one name.
     pub fn name(&self) -> &'a str {
         self.name.as_str()
     }
@@ -218,13 +218,13 @@ impl<'a> Attributes<'a> {
         self.attributes.as_slice()
     }
 
-    /// The one of a name; nothing where the model has none.
+    /// The attribute of a name; nothing where the model has none.
     pub fn get(&self, name: &str) -> Option<&'a Attribute<'a>> {
         self.all().iter().find(|attribute| attribute.name() == name)
     }
 }
 
-/// Where the points of another model come from.
+/// Origin of another model's points.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PointsKind(pub u32);
@@ -242,9 +242,9 @@ impl PointsKind {
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct OtherModel<'a> {
     param: RStr<'a>,
-    /// Where the points come from.
+    /// Origin of the points.
     pub kind: PointsKind,
-    /// How many vertices the model has; of samples their own number.
+    /// Number of vertices of the model; of samples the number of samples.
     pub vertices: u64,
     positions: RSlice<'a, [f64; 3]>,
     normals: RSlice<'a, [f32; 3]>,
@@ -282,7 +282,7 @@ impl<'a> OtherModel<'a> {
         self.normals.as_slice()
     }
 
-    /// Which sample each point is, for [`PointsKind::SAMPLES`]: of a sampled model its index, in a file of
+    /// Sample that each point is, for [`PointsKind::SAMPLES`]: of a sampled model its index, in a file of
     /// samples its property `id`. No two are the same. Empty for others.
     pub fn ids(&self) -> &'a [u64] {
         self.ids.as_slice()
@@ -313,7 +313,7 @@ impl<'a> OtherModels<'a> {
         self.models.as_slice()
     }
 
-    /// The one that a parameter names; nothing where the user gave none.
+    /// The model that a parameter names; nothing where the user gave none.
     pub fn get(&self, param: &str) -> Option<&'a OtherModel<'a>> {
         self.all().iter().find(|model| model.param() == param)
     }
@@ -324,7 +324,7 @@ impl<'a> OtherModels<'a> {
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct Joint<'a> {
     id: RStr<'a>,
-    /// Where it is at rest, local coordinates.
+    /// Position at rest, local coordinates.
     pub position: [f64; 3],
     /// The index of the joint that it hangs on: less than its own; [`Joint::ROOT`] for none.
     pub parent: u32,
@@ -365,7 +365,7 @@ impl<'a> Joints<'a> {
     }
 }
 
-/// How the plugin's own handles were moved, `simod.handle-motions/1`: of the deformation.
+/// Motions of the plugin's own handles, `simod.handle-motions/1`: of the deformation.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct HandleMotions<'a> {
@@ -393,7 +393,7 @@ pub struct Stroke<'a> {
     /// A hash: the same for strokes that are the same in every respect, and nearly surely another for others:
     /// a plugin can tell by it how many of the first strokes it has applied already.
     pub key: u64,
-    /// Of the brush, local coordinates; above 0.
+    /// Radius of the brush, local coordinates; above 0.
     pub radius: f64,
     /// 1 is full strength; negative ones do the opposite, as far as the brush has one.
     pub strength: f64,

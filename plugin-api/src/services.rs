@@ -1,5 +1,5 @@
-//! What a plugin may look up in the samples that it was given, of which the host keeps trees: the nearest
-//! samples, `simod.nearest/1`, and the surface of the triangles between them, `simod.surface/1`.
+//! Look-ups in the samples that a plugin was given, of which the host keeps trees: the nearest samples,
+//! `simod.nearest/1`, and the surface of the triangles between them, `simod.surface/1`.
 //!
 //! Both are extensions of the host ([`Host::extension`](crate::Host::extension)), asked for by
 //! [`Host::nearest`](crate::Host::nearest) and [`Host::surface`](crate::Host::surface). Trees are built when
@@ -8,16 +8,16 @@
 use crate::opaque::Host;
 use abi_stable::{StableAbi, std_types::RSliceMut};
 
-/// Which positions of the samples are looked at.
+/// Pose of the samples in which something is looked up.
 #[repr(transparent)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pose(pub u32);
 
 impl Pose {
-    /// Those that the step is given ([`Samples::positions`](crate::Samples::positions)): what the steps
-    /// before it have made.
+    /// Positions that the step is given ([`Samples::positions`](crate::Samples::positions)), as the steps
+    /// before it left them.
     pub const CURRENT: Self = Self(1);
-    /// Those of the model as it was sampled, before all steps: for plugins that ask for
+    /// Positions of the samples before all steps: for plugins that ask for
     /// [`rest_positions`](crate::Consumes::rest_positions).
     pub const REST: Self = Self(2);
 }
@@ -26,13 +26,13 @@ impl Pose {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy, PartialEq, Default)]
 pub struct SurfacePoint {
-    /// Which of the triangles.
+    /// Index of the triangle.
     pub triangle: u32,
     /// Weights of its corners, at least 0, which add up to 1.
     pub weights: [f64; 3],
-    /// Where it is.
+    /// Position of the point.
     pub position: [f64; 3],
-    /// From the point that was asked for, or along the ray, as a length.
+    /// Distance from the point that was asked for, or along the ray, as a length.
     pub distance: f64,
 }
 
@@ -53,12 +53,13 @@ pub struct SurfaceService {
     pub(crate) ray: extern "C" fn(&Host<'_>, Pose, &[f64; 3], &[f64; 3], f64, &mut SurfacePoint) -> bool,
 }
 
-/// What a host implements to offer these services; the samples are those of the call that the plugin is in.
+/// Look-ups that a host implements to offer these services, in the samples of the call that the plugin is
+/// in.
 pub trait Lookups: Sync {
     /// Whether there are samples to look up in this pose.
     fn has_samples(&self, pose: Pose) -> bool;
 
-    /// Whether there are triangles between them, and the plugin asked for them.
+    /// Whether there are triangles between the samples in this pose, and the plugin asked for them.
     fn has_triangles(&self, pose: Pose) -> bool;
 
     /// See [`Nearest::find`].
@@ -80,7 +81,7 @@ pub struct Nearest<'a> {
 }
 
 impl Nearest<'_> {
-    /// How many samples are within `radius` (which may be infinite); the nearest of them are written to
+    /// Number of samples within `radius` (which may be infinite); the nearest of them are written to
     /// `found`, nearest first, as many as it holds. Those at the same distance are in the order of their
     /// indices.
     pub fn find(&self, point: [f64; 3], radius: f64, found: &mut [u32]) -> usize {
@@ -129,8 +130,8 @@ impl Surface<'_> {
         (self.table.closest)(self.host, self.pose, &point, radius, &mut found).then_some(found)
     }
 
-    /// Where a ray meets the surface first, not farther away than `reach`: from either side, and from the
-    /// origin on. The direction may be of any length but zero.
+    /// The point in which a ray first meets the surface, not farther away than `reach`: from either side, and
+    /// from the origin on. The direction may be of any length but zero.
     pub fn ray(&self, origin: [f64; 3], direction: [f64; 3], reach: f64) -> Option<SurfacePoint> {
         let mut found = SurfacePoint::default();
         (self.table.ray)(self.host, self.pose, &origin, &direction, reach, &mut found).then_some(found)

@@ -30,10 +30,10 @@ struct Everything {
     growth: Growth,
 }
 
-/// How something grows.
+/// Curve by which something grows.
 #[derive(Choice, Debug, Clone, Copy, PartialEq)]
 enum Growth {
-    /// As a ramp.
+    /// A ramp.
     InStraightLines,
     #[choice(id = "smooth", label = "Smooth (no kinks)")]
     Smoothstep,

@@ -76,7 +76,7 @@ fn describe(layout: &'static TypeLayout, shape: &mut Shape) {
 fn the_shape_changes_with_the_version_alone() {
     let mut shape = Shape::new();
     describe(PluginModRef::LAYOUT, &mut shape);
-    // What is asked for by an id.
+    // Tables and inputs that are asked for by an id.
     let others = [
         EvaluateExtension::LAYOUT,
         HandlesExtension::LAYOUT,

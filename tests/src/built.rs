@@ -39,7 +39,8 @@ pub fn library(name: &str) -> PathBuf {
     built().join(format!("{DLL_PREFIX}{name}{DLL_SUFFIX}"))
 }
 
-/// Where large files may lie for a while: a disk, which the system's folder for temporary files need not be.
+/// Folder in which large files may lie for a while: on a disk, on which the system's folder for temporary
+/// files need not be.
 pub(crate) fn scratch_folder() -> PathBuf {
     let folder = target_folder().join("tmp");
     std::fs::create_dir_all(&folder).expect("a folder for temporary files");

@@ -32,7 +32,7 @@ impl Workplace {
     }
 }
 
-/// Where the header is.
+/// Folder of the header.
 fn include() -> PathBuf {
     Path::new(workspace()).join("plugin-api/include")
 }

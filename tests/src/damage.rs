@@ -7,51 +7,51 @@ use std::path::Path;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 
-/// What is done to bytes. Places are parts of the whole.
+/// Damage that is done to bytes. Places are parts of the whole.
 #[derive(Debug, Clone)]
 pub enum Damage {
     /// Some bits of a byte.
     Flip {
-        /// Where.
+        /// Place in the bytes.
         at: f64,
-        /// Which bits.
+        /// Bits that are turned over.
         bits: u8,
     },
     /// Bytes become a number, the lowest first.
     Number {
-        /// Where.
+        /// Place in the bytes.
         at: f64,
-        /// Which.
+        /// Number that is written.
         value: u64,
-        /// How many bytes.
+        /// Number of bytes.
         width: usize,
     },
     /// A part is missing.
     Cut {
-        /// Where.
+        /// Place in the bytes.
         at: f64,
-        /// How much.
+        /// Length, as a part of the whole.
         len: f64,
     },
     /// A part is there twice.
     Double {
-        /// Where.
+        /// Place in the bytes.
         at: f64,
-        /// How much.
+        /// Length, as a part of the whole.
         len: f64,
     },
     /// A word becomes another one.
     Word {
-        /// Which.
+        /// Number of the word.
         nth: usize,
-        /// The other one.
+        /// The other word.
         with: &'static str,
     },
     /// A line is somewhere else, too.
     Line {
-        /// Which.
+        /// Number of the line.
         nth: usize,
-        /// After which other.
+        /// Number of the line that it follows.
         after: usize,
     },
 }

@@ -9,9 +9,9 @@ pub struct Motion {
     pub turn: DMat3,
     /// Size after over size before.
     pub scale: f64,
-    /// What turning and scaling leave in place.
+    /// Point that turning and scaling leave in place.
     pub pivot: DVec3,
-    /// Added at last.
+    /// Vector that is added at last.
     pub shift: DVec3,
 }
 
@@ -28,7 +28,7 @@ impl Motion {
         Self { scale, ..Self::rigid(pivot, far) }
     }
 
-    /// Where a point goes.
+    /// Image of a point.
     pub fn image_of(&self, p: DVec3) -> DVec3 {
         self.pivot + self.turn * (p - self.pivot) * self.scale + self.shift
     }

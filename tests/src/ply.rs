@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-/// What a vertex' position and normal are called.
+/// Names of the properties of a vertex' position and normal.
 const NAMES: [&str; 6] = ["x", "y", "z", "nx", "ny", "nz"];
 
 /// A PLY file in memory.
@@ -15,7 +15,7 @@ pub struct Ply {
     encoding: Encoding,
     /// Types of the numbers that [`NAMES`] lists; those of the normal are missing where there is none.
     types: Vec<Type>,
-    /// Where they begin, vertex by vertex.
+    /// Offsets of these numbers in the file, vertex by vertex.
     spots: Vec<[u32; 6]>,
 }
 
@@ -161,7 +161,7 @@ impl Ply {
         }
     }
 
-    /// Where in the file a vertex' position lies.
+    /// Range of a vertex' position in the file's bytes.
     pub fn position_bytes(&self, vertex: usize) -> Range<usize> {
         let spot = |slot: usize| self.span(self.spots[vertex][slot] as usize, self.types[slot]);
         spot(0).start..spot(2).end

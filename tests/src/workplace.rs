@@ -18,7 +18,7 @@ pub struct Workplace {
     plugin_path: Option<PathBuf>,
 }
 
-/// What a run of the program left.
+/// Outcome of a run of the program.
 pub struct Outcome {
     /// The exit code; none where a signal ended it.
     pub code: Option<i32>,

@@ -1,7 +1,8 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `geometry <- core,
-//! measure`; `model <- core, generate, measure`; `core <- picture`; `plugin-api, core, measure <- session <-
-//! check, compare, viewer, cli`; `measure, picture <- compare`; `check, compare <- cli`; `picture <- scene,
-//! viewer`; `viewer, scene <- window`; `core, plugin-api, session, compare <- python`.
+//! measure, generate, session, viewer`; `model <- core, generate, measure`; `core <- picture`; `plugin-api,
+//! core, measure <- session <- check, compare, viewer, cli`; `measure, picture <- compare`; `check, compare
+//! <- cli`; `picture <- scene, viewer`; `viewer, scene <- window`; `core, plugin-api, session, compare <-
+//! python`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,7 +12,7 @@ use object::{Object, ObjectSymbol};
 use serde_json::Value;
 use simod_tests::workspace;
 
-/// What draws windows or talks to graphics cards.
+/// Crates that draw windows or talk to graphics cards.
 const WINDOWS: [&str; 8] = ["egui", "eframe", "wgpu", "winit", "glutin", "ash", "glow", "softbuffer"];
 
 /// The packages and what they depend on, on this platform: what `cargo metadata` says, by the ids of
@@ -104,7 +105,7 @@ fn cargo(command: &str) -> Command {
     cargo
 }
 
-/// What a command writes.
+/// Runs a command, and returns its standard output.
 fn output(mut command: Command) -> Vec<u8> {
     let output = command.output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -133,14 +134,15 @@ fn arrows_go_one_way() {
     crates.expect_members("host/features", &[]);
     crates.expect_members("host/model", &["simod-features"]);
     crates.expect_members("host/core", &["simod-geometry", "simod-model"]);
-    crates.expect_members("host/generate", &["simod-model"]);
+    crates.expect_members("host/generate", &["simod-geometry", "simod-model"]);
     crates.expect_members("host/measure", &["simod-geometry", "simod-model"]);
     crates.expect_members("host/storage", &["simod-model"]);
     crates.expect_members("host/picture", &["simod-core", "simod-model"]);
     let engine = ["simod-core", "simod-model"];
-    let session = [&engine[..], &["simod-measure", "simod-plugin-api"]].concat();
+    let session = [&engine[..], &["simod-geometry", "simod-measure", "simod-plugin-api"]].concat();
     crates.expect_members("host/session", &session);
-    let viewer = [&engine[..], &["simod-picture", "simod-plugin-api", "simod-session"]].concat();
+    let viewer =
+        [&engine[..], &["simod-geometry", "simod-picture", "simod-plugin-api", "simod-session"]].concat();
     crates.expect_members("host/viewer", &viewer);
     let compare = [&engine[..], &["simod-measure", "simod-picture", "simod-session"]].concat();
     crates.expect_members("host/compare", &compare);
@@ -156,7 +158,7 @@ fn arrows_go_one_way() {
     let python = [&engine[..], &["simod-compare", "simod-plugin-api", "simod-session"]].concat();
     crates.expect_members("host/python", &python);
 
-    // What talks to stores is in the program if it is asked for, and nowhere else.
+    // Crates that talk to stores are in the program if it is built with them, and nowhere else.
     for folder in ["plugins", "host/core", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &["simod-storage", "object_store", "tokio"]);
     }
@@ -164,7 +166,7 @@ fn arrows_go_one_way() {
     for folder in ["plugin-api", "plugins", "host/picture", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
     }
-    // It draws into textures, for whichever window.
+    // The scene is drawn into textures, for whichever window.
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
@@ -201,9 +203,9 @@ fn no_vector_instruction_is_a_function() {
     assert!(left.is_empty(), "{left:#?}");
 }
 
-/// What the program depends on has the same features whatever is built, so that nothing of it is built a
-/// second time: in the first build, for the tests, the window, Python and stores. Where this fails,
-/// `host/features` lacks a feature, or has one too many.
+/// Libraries of the program have the same features whatever is built, so that none of them is built a second
+/// time: in the first build, for the tests, the window, Python and stores. Where this fails, `host/features`
+/// lacks a feature, or has one too many.
 #[test]
 fn what_the_program_needs_is_built_once() {
     let program = Packages::read("normal,build", &[]);
@@ -214,7 +216,7 @@ fn what_the_program_needs_is_built_once() {
     let storage = ["-p", "simod-storage", "-p", "simod-cli", "--features", "simod-cli/object-storage"];
     for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"], &python, &storage] {
         let others = Packages::read("normal,build,dev", choice);
-        // What is asked for is a feature of the program itself.
+        // Object storage is a feature of the program itself.
         let libraries = program.0.iter().filter(|p| !p.starts_with("simod-cli "));
         let again: Vec<&String> =
             libraries.filter(|p| others.has_kind_of(p) && !others.0.contains(*p)).collect();
@@ -361,7 +363,7 @@ type Place = Vec<String>;
 struct Modules {
     /// The code of each, without comments.
     code: BTreeMap<Place, String>,
-    /// What the names that each imports stand for.
+    /// Places that the names imported by each module stand for.
     imports: BTreeMap<Place, BTreeMap<String, Place>>,
 }
 

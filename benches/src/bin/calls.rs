@@ -1,4 +1,4 @@
-//! What it costs to call a plugin: across the boundary in this process, and in a process of its own.
+//! Costs of calling a plugin: across the boundary in this process, and in a process of its own.
 //!
 //! The plugin is the one that the tests have misbehave, told to behave: it shifts all samples, which is as
 //! little as a plugin can do.

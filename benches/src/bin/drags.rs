@@ -1,5 +1,5 @@
-//! How fast the samples follow a hand: from a drag's command to the moved samples that the viewer draws next,
-//! as the viewer does it but for its window.
+//! Time in which the samples follow a hand: from a drag's command to the moved samples that the viewer draws
+//! next, as the viewer does it but for its window.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -143,7 +143,8 @@ fn table(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// How long each picture of a drag took, by the clock and on all processors, and the one at rest; seconds.
+/// Seconds that each picture of a drag took, by the clock and on all processors, and those of the one at
+/// rest.
 struct Dragged {
     took: Vec<f64>,
     processor: Vec<f64>,

@@ -1,5 +1,5 @@
-//! How well the expected transfer error predicts the true one: exact maps of space applied to the samples
-//! alone, and at every vertex what is expected beside what is true.
+//! Quality of the expected transfer error: exact maps of space applied to the samples alone, and at every
+//! vertex the error that is expected beside the true one.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

@@ -1,5 +1,5 @@
-//! How far the reconstruction is from the truth: exact maps of space applied to the samples alone, and the
-//! result compared with the map of every vertex.
+//! True error of the reconstruction: exact maps of space applied to the samples alone, and the result
+//! compared with the map of every vertex.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

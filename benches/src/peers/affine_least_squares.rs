@@ -5,15 +5,16 @@
 use std::num::NonZeroUsize;
 
 use glam::{DMat3, DVec3};
+use simod_geometry::{outer, smoothstep};
 
 use super::{Cloud, Field, Sample};
 
 /// One more than count: at the last one the weight vanishes, so that the result is continuous.
 const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(17).expect("more than 0");
 
-/// How strongly the map is drawn towards a translation, in parts of the sum of the second moments: across a
-/// surface the samples tell little of the gradient, in a plane nothing. With 1e-6 rigid maps are off by 1e-5
-/// of the diagonal; with far less, the rounding of samples that lie in a plane may count.
+/// Weight by which the map is drawn towards a translation, in parts of the sum of the second moments: across
+/// a surface the samples tell little of the gradient, in a plane nothing. With 1e-6 rigid maps are off by
+/// 1e-5 of the diagonal; with far less, the rounding of samples that lie in a plane may count.
 const RIDGE: f64 = 1e-8;
 
 pub struct AffineLeastSquares(pub Cloud);
@@ -48,11 +49,5 @@ impl Field for AffineLeastSquares {
 
 /// The Hermite kernel: 1 at 0, and 0 from 1 on.
 fn hermite(t: f64) -> f64 {
-    let t = t.min(1.0);
-    1.0 - t * t * (3.0 - 2.0 * t)
-}
-
-/// a bᵀ
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+    1.0 - smoothstep(t)
 }

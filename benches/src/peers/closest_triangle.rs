@@ -7,12 +7,12 @@ use parry3d_f64::shape::TriMesh;
 use super::Field;
 use crate::distance::{triangle_mesh, vector};
 
-/// What becomes of the vector from the closest point to the vertex.
+/// Treatment of the vector from the closest point to the vertex.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Offset {
-    /// It stays as it is.
+    /// The vector stays as it is.
     Kept,
-    /// It goes with the triangle: two edges, and the normal as long as the root of the area.
+    /// The vector goes with the triangle: two edges, and the normal as long as the root of the area.
     Carried,
 }
 

@@ -49,7 +49,7 @@ impl Peer {
         Self::ClosestFrame,
     ];
 
-    /// What a table calls it.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::InverseDistance => "inverse distances, 8",
@@ -60,7 +60,7 @@ impl Peer {
         }
     }
 
-    /// Whether it needs triangles between the samples.
+    /// Whether the peer needs triangles between the samples.
     pub fn needs_triangles(self) -> bool {
         matches!(self, Self::ClosestPoint | Self::ClosestFrame)
     }
@@ -157,7 +157,7 @@ mod tests {
         sheet().into_iter().map(|p| p.as_dvec3() + DVec3::new(0.031, -0.022, 0.004))
     }
 
-    /// How far a field is from a map at worst.
+    /// Largest distance of a field's images from those of a map.
     fn worst(field: &dyn Field, map: impl Fn(DVec3) -> DVec3, points: impl Iterator<Item = DVec3>) -> f64 {
         points.map(|p| (p + field.displacement(p)).distance(map(p))).fold(0.0, f64::max)
     }

@@ -3,11 +3,12 @@
 use crate::answer::answer;
 use crate::finding::{Checked, Finding};
 use crate::subject::Subject;
+use simod_model::ErrorMark;
 use simod_plugin_api::ParamKind;
 use simod_session::migration::migrated;
 use simod_session::params::check_migration;
 use simod_session::step::Deformation;
-use simod_session::{Migration, Plugin, is_plugins_bug};
+use simod_session::{Migration, Plugin};
 
 /// Sessions of all versions that give no parameter, or every one by its default and by each former name,
 /// become sessions of today; always the same, and today's sessions are not changed once more.
@@ -98,7 +99,7 @@ fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
         Ok(first) => first,
         // The values of old defaults are unknown here: the plugin may refuse a setting that it cannot
         // understand.
-        Err(e) if !is_plugins_bug(&e) => return Ok(Brought::Refused(e.to_string())),
+        Err(e) if !e.is_marked(ErrorMark::PluginBug) => return Ok(Brought::Refused(e.to_string())),
         Err(e) => return Err(e.to_string()),
     };
     if brought(step).ok().as_ref() != Some(&first) {

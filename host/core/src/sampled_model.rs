@@ -12,12 +12,13 @@ use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
+use simod_model::long_list::LongList;
 use simod_model::object::{self, is_object};
 use simod_model::output::{self, OutputFile};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Attribute, Besides, Cache, Error, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
+    Attribute, Besides, Cache, Error, ErrorMark, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
     VertexChunk, pattern_of,
 };
 use xxhash_rust::xxh3::Xxh3Default;
@@ -269,7 +270,7 @@ mod any_path {
             }
             #[cfg(not(unix))]
             Written::Bytes(_) => {
-                return Err(serde::de::Error::custom("the model's name is none on this system"));
+                return Err(serde::de::Error::custom("the model's name is no path on this system"));
             }
         })
     }
@@ -463,23 +464,6 @@ impl SamplingRecord {
     }
 }
 
-/// Cause of errors about a source that is gone, or is not the model that was sampled: another path may help.
-#[derive(Debug)]
-struct OtherSource;
-
-impl std::fmt::Display for OtherSource {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("the source is not what was sampled")
-    }
-}
-
-impl std::error::Error for OtherSource {}
-
-/// Whether an error is about a sampled model's source, which is gone or not what was sampled.
-pub fn is_other_source(error: &Error) -> bool {
-    std::error::Error::source(error).is_some_and(|source| source.is::<OtherSource>())
-}
-
 impl SampledModel {
     /// Completes the samples, whose positions are rounded as `samples.ply` stores them, so that working in
     /// memory and through the folder give the same bytes.
@@ -544,7 +528,7 @@ impl SampledModel {
         };
         Ok(Self {
             source: self.source.clone(),
-            samples: SampleSet::new(positions, known)?,
+            samples: self.samples.stored_alike(SampleSet::new(positions, known)?),
             colors: Vec::new(),
             refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
             triangles,
@@ -741,6 +725,7 @@ impl SampledModel {
             let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
+        samples.store_lists(samples.usual_storage(folder));
         let fingerprint = description.samples_fingerprint;
         samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
         let skip = Skip {
@@ -793,9 +778,9 @@ impl SampledModel {
 
     /// Content of a file in the folder that the model was read from, of at most `most` bytes; `None` where
     /// there is no such file, or it cannot be read.
-    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
+    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<LongList<u8>> {
         let (folder, _) = self.folder.as_ref()?;
-        input::read(&folder.join(name), most).ok()
+        input::read_long(&folder.join(name), most, self.samples.storage()).ok()
     }
 
     /// Puts a file into the folder that the model was read from, if there is one, unless another process is
@@ -902,7 +887,7 @@ impl SampledModel {
         {
             let what = format!("the sampled model's source {} is gone", gone.display());
             let hint = "put it back, or say where it is with --model";
-            return Err(Error::system(what, hint).because(OtherSource));
+            return Err(Error::system(what, hint).marked(ErrorMark::OtherSource));
         }
         let model = named.open(self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
@@ -918,7 +903,7 @@ impl SampledModel {
             let what = format!("{} is {}, but {} were sampled", path.display(), files(now), files(then));
             let hint =
                 "give the tiles that were sampled, or the folder that they were moved to, with --model";
-            return Err(Error::mismatch(what, hint).because(OtherSource));
+            return Err(Error::mismatch(what, hint).marked(ErrorMark::OtherSource));
         }
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));
@@ -941,7 +926,7 @@ impl SampledModel {
             format!("{} changed since it was sampled{which}", path.display()),
             "sample it again, or give the file that was sampled with --model",
         )
-        .because(OtherSource)
+        .marked(ErrorMark::OtherSource)
     }
 
     /// The tiles that were written after the samples were.
@@ -1044,7 +1029,7 @@ impl SampledModel {
     fn localized(&self, deformed: DeformedFile<'_>, progress: &dyn Progress) -> Result<DeformedPositions> {
         let path = deformed.path;
         let mut places = deformed.into_ordered(self.samples.len())?;
-        let precision = StoredPrecision::of(&places);
+        let precision = StoredPrecision::measure(&places);
         if let Some(note) = self.coarseness(&precision) {
             progress.note(&format!("{}: {note}", path.display()));
         }
@@ -1064,7 +1049,7 @@ impl SampledModel {
         let (step, diagonal) = (precision.coarsest(), self.bounds.diagonal());
         let own = || {
             let rest: Vec<DVec3> = self.samples.positions.iter().map(|p| self.frame.to_model(*p)).collect();
-            StoredPrecision::of(&rest).coarsest()
+            StoredPrecision::measure(&rest).coarsest()
         };
         (step > COARSE * diagonal && step > own()).then(|| {
             format!(

@@ -39,7 +39,7 @@ fn digits_of(x: f64, is_single: bool, text: &mut String) -> (i32, i32) {
 
 impl StoredPrecision {
     /// The precision of positions in the coordinates of their file.
-    pub fn of(positions: &[DVec3]) -> Self {
+    pub fn measure(positions: &[DVec3]) -> Self {
         let along =
             |axis: usize| positions.iter().map(move |p| p[axis]).filter(|x| x.is_finite() && *x != 0.0);
         let is_single = [0, 1, 2].map(|axis| along(axis).all(|x| f64::from(x as f32) == x));
@@ -121,7 +121,7 @@ mod tests {
     fn check(write: impl Fn(f64) -> f64, coarsest: f64) {
         let places = places();
         let written: Vec<DVec3> = places.iter().map(|p| DVec3::from(p.to_array().map(&write))).collect();
-        let precision = StoredPrecision::of(&written);
+        let precision = StoredPrecision::measure(&written);
         let found = precision.coarsest();
         assert!((found - coarsest).abs() <= 1e-9 * coarsest, "{found} for {coarsest}");
         for (places, written) in places.iter().zip(&written) {
@@ -154,8 +154,11 @@ mod tests {
     #[test]
     fn whole_numbers_are_meant() {
         let whole: Vec<DVec3> = places().iter().map(|p| (p - DVec3::new(4e5, 5e6, 0.0)).round()).collect();
-        let precision = StoredPrecision::of(&whole);
+        let precision = StoredPrecision::measure(&whole);
         assert!(!precision.is_rounded(0, 3.0, 3.2) && precision.coarsest() < 1e-4);
-        assert_eq!(StoredPrecision::of(&[DVec3::ZERO, DVec3::NAN]).coarsest(), f64::from(f32::from_bits(1)));
+        assert_eq!(
+            StoredPrecision::measure(&[DVec3::ZERO, DVec3::NAN]).coarsest(),
+            f64::from(f32::from_bits(1))
+        );
     }
 }

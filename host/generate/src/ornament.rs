@@ -2,8 +2,8 @@
 
 use glam::DVec2;
 
-use super::fade::smoothstep;
 use super::tile::ReliefTile;
+use simod_geometry::smoothstep;
 
 /// One unit of a Greek key, between empty margins.
 #[rustfmt::skip]

@@ -11,6 +11,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
+use simod_geometry::outer;
 
 use super::triangle::{corners, cross, key, pair, sides, sorted};
 
@@ -274,10 +275,6 @@ impl SmoothingSteps {
 
 fn scaled<const N: usize>(places: &[DVec3; N], by: f64) -> [DVec3; N] {
     places.map(|p| p * by)
-}
-
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 /// The rotation of a polar decomposition, by Newton's method (N. J. Higham, *Computing the polar

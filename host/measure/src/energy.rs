@@ -10,7 +10,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use simod_geometry::{horn_matrix, nearest_rotation};
+use simod_geometry::{horn_matrix, nearest_rotation, outer};
 
 use super::triangle::{Edges, corners, cross};
 
@@ -161,10 +161,6 @@ fn weights(triangle: &[DVec3; 3]) -> [f64; 3] {
     let double = cross(*triangle).length();
     let [a, b, c] = sides(triangle);
     [-b.dot(c), -c.dot(a), -a.dot(b)].map(|along| 0.5 * along / double)
-}
-
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 /// The rotation R for which the trace of Rᵀ times the matrix is the greatest: the eigenvector of the greatest

@@ -29,6 +29,18 @@ pub enum ErrorKind {
     Internal,
 }
 
+/// Property of some failures within their kind, for callers that treat these specially.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ErrorMark {
+    /// The source of a sampled model is gone, or is not what was sampled: another path may help.
+    OtherSource,
+    /// A plugin has a mistake for certain: it panicked, or gave an answer that breaks a rule of the
+    /// interface. Other errors of plugins are refusals of what they were given, or may have other causes too,
+    /// as positions that are not finite have.
+    PluginBug,
+}
+
 /// Failure: one line with the fault and its place, one with advice.
 ///
 /// An error is one pointer, as results that may be one are moved, and let go, wherever they are passed on.
@@ -41,6 +53,7 @@ struct Failure {
     kind: ErrorKind,
     what: String,
     hint: String,
+    mark: Option<ErrorMark>,
     /// Error of a library or the system that caused this one, if there is one.
     source: Option<Arc<dyn std::error::Error + Send + Sync>>,
 }
@@ -61,7 +74,7 @@ impl Error {
     /// Failure of the given kind; `what` names the fault and its place, `hint` the advice.
     #[cold]
     pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self(Box::new(Failure { kind, what: what.into(), hint: hint.into(), source: None }))
+        Self(Box::new(Failure { kind, what: what.into(), hint: hint.into(), mark: None, source: None }))
     }
 
     /// A value of the user's that is out of range, unknown or of another type.
@@ -132,6 +145,13 @@ impl Error {
         self
     }
 
+    /// Returns this error with a mark, which stays when texts and source change.
+    #[cold]
+    pub fn marked(mut self, mark: ErrorMark) -> Self {
+        self.0.mark = Some(mark);
+        self
+    }
+
     /// Returns this error with another text of what failed.
     #[cold]
     pub fn saying(mut self, what: impl Into<String>) -> Self {
@@ -187,6 +207,11 @@ impl Error {
         self.0.kind
     }
 
+    /// Whether the error has this mark.
+    pub fn is_marked(&self, mark: ErrorMark) -> bool {
+        self.0.mark == Some(mark)
+    }
+
     /// Advice of what to do about the failure: one line, no full stop.
     pub fn hint(&self) -> &str {
         &self.0.hint
@@ -198,6 +223,14 @@ mod tests {
     use super::*;
     use std::error::Error as _;
     use std::io;
+
+    #[test]
+    fn marks_stay_when_texts_and_source_change() {
+        let error = Error::mismatch("x.ply changed", "sample it again").marked(ErrorMark::OtherSource);
+        let error = error.saying("other words").hinting("other advice").because(io::Error::other("a cause"));
+        assert!(error.is_marked(ErrorMark::OtherSource) && !error.is_marked(ErrorMark::PluginBug));
+        assert!(!Error::cancelled().is_marked(ErrorMark::OtherSource));
+    }
 
     #[test]
     fn what_it_came_of_is_kept() {

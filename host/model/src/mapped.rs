@@ -2,6 +2,7 @@
 //! its memory is measured, though the system may take them back at any time.
 
 use std::ops::{Deref, DerefMut};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use memmap2::{Mmap, MmapMut};
@@ -11,15 +12,11 @@ use memmap2::{Mmap, MmapMut};
 /// no order gets all files back each time.
 const RESIDENT: u64 = 64 << 20;
 
-/// All maps of this process.
-static MAPS: Mutex<Maps> = Mutex::new(Maps { all: Vec::new(), looked_at: 0 });
+/// Address and length of each map of this process.
+static MAPS: Mutex<Vec<(usize, usize)>> = Mutex::new(Vec::new());
 
-struct Maps {
-    /// Address and length of each.
-    all: Vec<(usize, usize)>,
-    /// Bytes since pages were given back.
-    looked_at: u64,
-}
+/// Bytes that were looked at since pages were given back.
+static LOOKED_AT: AtomicU64 = AtomicU64::new(0);
 
 /// A temporary file as memory to be read.
 pub type Map = Mapped<Mmap>;
@@ -35,7 +32,7 @@ impl<M: Deref<Target = [u8]>> Mapped<M> {
     /// Map of a whole file, with which it is shared: bytes that are written to the map are in the file.
     pub(crate) fn new(map: M) -> Self {
         let place = (map.as_ptr() as usize, map.len());
-        MAPS.lock().unwrap_or_else(PoisonError::into_inner).all.push(place);
+        MAPS.lock().unwrap_or_else(PoisonError::into_inner).push(place);
         Self(map)
     }
 }
@@ -44,7 +41,7 @@ impl<M: Deref<Target = [u8]>> Drop for Mapped<M> {
     fn drop(&mut self) {
         let place = (self.0.as_ptr() as usize, self.0.len());
         let mut maps = MAPS.lock().unwrap_or_else(PoisonError::into_inner);
-        maps.all.retain(|other| *other != place);
+        maps.retain(|other| *other != place);
     }
 }
 
@@ -65,11 +62,9 @@ impl<M: DerefMut<Target = [u8]>> DerefMut for Mapped<M> {
 /// Tells that about so many bytes of mapped files were used, which are not used again soon: from time to time
 /// all pages go back to the system, which keeps their content.
 pub fn looked_at(bytes: usize) {
-    let mut maps = MAPS.lock().unwrap_or_else(PoisonError::into_inner);
-    maps.looked_at += bytes as u64;
-    if maps.looked_at >= RESIDENT {
-        maps.looked_at = 0;
-        maps.all.iter().for_each(|place| release(*place));
+    if LOOKED_AT.fetch_add(bytes as u64, Ordering::Relaxed) + bytes as u64 >= RESIDENT {
+        LOOKED_AT.store(0, Ordering::Relaxed);
+        MAPS.lock().unwrap_or_else(PoisonError::into_inner).iter().for_each(|place| release(*place));
     }
 }
 

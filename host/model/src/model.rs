@@ -475,7 +475,10 @@ impl<W: Write + Send> Output for W {
     }
 
     fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
-        Err(io::Error::new(io::ErrorKind::Unsupported, "what was written cannot be replaced in a stream"))
+        Err(io::Error::new(
+            io::ErrorKind::Unsupported,
+            "bytes that were written cannot be replaced in a stream",
+        ))
     }
 
     fn finish(&mut self) -> io::Result<()> {

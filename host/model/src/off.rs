@@ -231,7 +231,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
                 if colours_first {
                     first = if texture { others.saturating_sub(2) } else { others };
                 }
-                bytes = ColourBytes::of(&names, if colours_first { 3 } else { 0 });
+                bytes = ColourBytes::new(&names, if colours_first { 3 } else { 0 });
             }
             bytes.take(line);
             builder.vertex(at, end);
@@ -275,7 +275,7 @@ struct ColourBytes {
 
 impl ColourBytes {
     /// Check of the colours among some attributes, with so many numbers of the normal behind them.
-    fn of(attributes: &[&str], normal: usize) -> Self {
+    fn new(attributes: &[&str], normal: usize) -> Self {
         let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
         Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }
     }

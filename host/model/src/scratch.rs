@@ -79,6 +79,35 @@ impl Scratch {
         self.handle.set_len(bytes).map_err(|e| refused("write", &self.folder, self.advice, &e))
     }
 
+    /// The file with so many zeros in place of what was in it, as memory that can be written: the disk has
+    /// room for all of it. `bytes` is not 0.
+    ///
+    /// # Errors
+    /// The disk is full, or the operating system refuses.
+    pub(crate) fn zeros(self, bytes: u64) -> Result<MapMut> {
+        Self::check_space(&self.folder, bytes, self.advice)?;
+        self.set_len(0)?;
+        self.reserve(bytes)?;
+        self.map_mut()
+    }
+
+    /// Makes it `bytes` long by zeros that have a place on the disk.
+    fn reserve(&self, bytes: u64) -> Result<()> {
+        #[cfg(target_os = "linux")]
+        if rustix::fs::fallocate(&self.handle, rustix::fs::FallocateFlags::empty(), 0, bytes).is_ok() {
+            return Ok(());
+        }
+        // File systems that cannot do that are written to.
+        let zeros = vec![0; 1 << 20];
+        let mut at = 0;
+        while at < bytes {
+            let length = (bytes - at).min(zeros.len() as u64);
+            self.write_at(&zeros[..length as usize], at)?;
+            at += length;
+        }
+        Ok(())
+    }
+
     /// The file, to be read by others.
     pub(crate) fn into_file(self) -> Positioned {
         self.file

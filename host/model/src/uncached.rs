@@ -280,7 +280,7 @@ impl Drop for WriteBehind {
 }
 
 fn ended() -> io::Error {
-    io::Error::other("what was written before could not be")
+    io::Error::other("an earlier part could not be written")
 }
 
 #[cfg(test)]

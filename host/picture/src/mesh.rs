@@ -45,6 +45,44 @@ enum VertexRecords {
 }
 
 impl VertexRecords {
+    /// Reads the vertices of the first of several models that are read in step, as of [`DrawnMesh::new`], by
+    /// their places from an origin.
+    fn read(
+        models: &[&dyn Model],
+        (origin, spacing): (DVec3, &mut Spacing),
+        paint: Painted<'_>,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let info = models[0].info();
+        let (width, mut at) = (size_of::<VertexRecord>() as u64, 0);
+        let mut held = Vec::new();
+        let is_held = info.vertices * width <= HELD;
+        let scratch = if is_held { None } else { Some(Scratch::new(folder, ADVICE)?) };
+        progress.begin("drawing", info.vertex_bytes);
+        in_step(models, paint.map_or(0, |(attributes, _)| attributes), progress, |parts| {
+            let Vertices { positions, normals, .. } = parts[0];
+            spacing.add(positions.iter().copied());
+            let record = |(i, p): (usize, &DVec3)| VertexRecord {
+                position: (*p - origin).as_vec3().to_array(),
+                normal: normals.get(i).copied().unwrap_or_default().to_array(),
+                color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
+                used: 0,
+            };
+            held.extend(positions.iter().enumerate().map(record));
+            if let Some(scratch) = &scratch {
+                scratch.write_at(bytemuck::cast_slice(&held), at)?;
+                at += held.len() as u64 * width;
+                held.clear();
+            }
+            Ok(())
+        })?;
+        Ok(match scratch {
+            Some(scratch) => Self::Mapped(scratch.map_mut()?),
+            None => Self::Held(held),
+        })
+    }
+
     fn all(&self) -> &[VertexRecord] {
         match self {
             Self::Held(all) => all,
@@ -93,42 +131,16 @@ impl<'a> DrawnMesh<'a> {
         folder: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let info = models[0].info();
-        let (width, mut at) = (size_of::<VertexRecord>() as u64, 0);
-        let mut held = Vec::new();
-        let is_held = info.vertices * width <= HELD;
-        let scratch = if is_held { None } else { Some(Scratch::new(folder, ADVICE)?) };
         let middle = 0.5 * (bounds.min + bounds.max);
         let origin = if middle.is_finite() { middle } else { DVec3::ZERO };
         let mut spacing = Spacing::new([bounds.min, bounds.max]);
-        progress.begin("drawing", info.vertex_bytes);
-        in_step(models, paint.map_or(0, |(attributes, _)| attributes), progress, |parts| {
-            let Vertices { positions, normals, .. } = parts[0];
-            spacing.add(positions.iter().copied());
-            let record = |(i, p): (usize, &DVec3)| VertexRecord {
-                position: (*p - origin).as_vec3().to_array(),
-                normal: normals.get(i).copied().unwrap_or_default().to_array(),
-                color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
-                used: 0,
-            };
-            held.extend(positions.iter().enumerate().map(record));
-            if let Some(scratch) = &scratch {
-                scratch.write_at(bytemuck::cast_slice(&held), at)?;
-                at += held.len() as u64 * width;
-                held.clear();
-            }
-            Ok(())
-        })?;
-        let records = match scratch {
-            Some(scratch) => VertexRecords::Mapped(scratch.map_mut()?),
-            None => VertexRecords::Held(held),
-        };
+        let records = VertexRecords::read(models, (origin, &mut spacing), paint, folder, progress)?;
         let mut this = Self {
             model: models[0],
             records,
             origin,
             spacing,
-            derived: !info.has_normals,
+            derived: !models[0].info().has_normals,
             with_points: false,
         };
         this.go_round(progress)?;

@@ -10,9 +10,8 @@ use pyo3::exceptions::{PyIndexError, PyStopIteration};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
 use simod_core::guard::{Guard, OutputKind};
-use simod_core::sampled_model::is_other_source;
 use simod_core::sampling::{Sampling, sample};
-use simod_model::{Error, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
+use simod_model::{Error, ErrorMark, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
 
 use crate::arrays;
@@ -212,7 +211,7 @@ impl Model {
 
 /// An error about the sampled model's source, with advice for Python instead of an option of the command.
 fn moved(error: Error) -> Error {
-    if is_other_source(&error) {
+    if error.is_marked(ErrorMark::OtherSource) {
         return error.hinting("sample it again, or open the file that was sampled and apply to that");
     }
     error

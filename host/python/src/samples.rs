@@ -427,7 +427,7 @@ impl Samples {
         let ((moved, normals), _) = work(py, progress, |watch| {
             watch.begin("transferring", rest.len() as u64);
             let around = RestGeometry::kept(&sampled);
-            let field = [DeformationField::of(&around, &deformed, Method::default())];
+            let field = [DeformationField::from_deformed(&around, &deformed, Method::default())];
             let mut moved = rest.clone();
             let mut of_normals = normals.chunks_mut(BATCH);
             for (rest, positions) in rest.chunks(BATCH).zip(moved.chunks_mut(BATCH)) {

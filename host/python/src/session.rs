@@ -9,7 +9,7 @@ use simod_core::guard::{Guard, OutputKind};
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_model::follow::Follow;
 use simod_session::session_file::inputs;
-use simod_session::{Run, Running, SessionFile, Tolerance};
+use simod_session::{PluginRegistry, Run, Running, SessionFile, Tolerance};
 
 use crate::errors::{OrRaise, argument};
 use crate::options::{reconstruction, record};
@@ -108,14 +108,8 @@ impl Session {
         session.model = model.or(session.model);
         let ((run, error), mut notes) = work(py, progress, |watch| {
             let output = out.as_deref().map_or_else(|| session.output_beside(&self.path), Ok)?.to_owned();
-            let mut guard = Guard::new(overwrite);
-            guard.reads(&self.path);
-            let named = session.named_model()?;
-            guard.reads_all(named.iter().flat_map(|named| named.files()));
-            guard.reads_all(inputs(&self.path)?);
-            guard.reads_all(plugins.files());
-            guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
+            let read = (&*self.path, &session, &*plugins);
+            check_targets(Guard::new(overwrite), read, &output, diagnostics.as_deref())?;
             let run = Run::execute_with(&session, &plugins, &running, &output, watch)?;
             let error = measure.then(|| run.transfer_error(watch)).transpose()?;
             Ok((run, error))
@@ -126,6 +120,22 @@ impl Session {
         warn(py, &notes)?;
         record(py, "Report", &report(&run, error))
     }
+}
+
+/// Checks that neither the output nor the diagnostics take the place of what is read, or of what is there.
+fn check_targets(
+    mut guard: Guard,
+    (path, session, plugins): (&Path, &SessionFile, &PluginRegistry),
+    output: &Path,
+    diagnostics: Option<&Path>,
+) -> simod_model::Result<()> {
+    guard.reads(path);
+    let named = session.named_model()?;
+    guard.reads_all(named.iter().flat_map(|named| named.files()));
+    guard.reads_all(inputs(path)?);
+    guard.reads_all(plugins.files());
+    guard.writes_model(output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
+    diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))
 }
 
 /// Report on a run, with the error that was measured beside the exact deformation.

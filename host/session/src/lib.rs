@@ -42,7 +42,7 @@ pub mod vector;
 pub mod worker;
 
 pub use deformed_samples::{DeformedSamples, deform};
-pub use deformer::{Capabilities, Code, Message, Migration, OwnHandles, Plugin, is_plugins_bug, is_raw};
+pub use deformer::{Capabilities, Code, Message, Migration, OwnHandles, Plugin, is_raw};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;

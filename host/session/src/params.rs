@@ -211,7 +211,15 @@ pub fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Op
         .map(|(_, c)| c)
 }
 
+/// A parameter's value, of its kind and in its range.
 fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> Result<ParamValue> {
+    let parsed = parsed(plugin, d, value, folder)?;
+    in_range(d, &parsed).map_err(|what| Error::argument(format!("{plugin}: {what}"), range_hint(d)))?;
+    Ok(parsed)
+}
+
+/// A parameter's value, of its kind.
+fn parsed(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> Result<ParamValue> {
     let id = &d.id;
     let wrong = |wanted: &str, example: &str| {
         Error::argument(
@@ -220,7 +228,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         )
     };
     let refused = |(what, hint): (String, String)| Error::argument(format!("{plugin}: {what}"), hint);
-    let parsed = match d.kind {
+    Ok(match d.kind {
         ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", &default_number(d)))?),
         ParamKind::INT => value
             .as_integer()
@@ -259,9 +267,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
                 "",
             ));
         }
-    };
-    in_range(d, &parsed).map_err(|what| Error::argument(format!("{plugin}: {what}"), range_hint(d)))?;
-    Ok(parsed)
+    })
 }
 
 /// A text that is one of the parameter's choices.

@@ -472,8 +472,8 @@ fn evaluated(
     let DeformedSamples { sampled, positions, stack, .. } = deformed;
     progress.begin("preparing", 0);
     let around = RestGeometry::kept(sampled);
-    let field =
-        DeformationField::of(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
+    let field = DeformationField::from_deformed(&around, positions, Method::default())
+        .expecting(&sampled.frame, model.info());
     let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);
     write_exact(sampled, model, &field, &map, version, how, progress)
 }

@@ -4,6 +4,7 @@ use crate::key::{Key, Keyed};
 use crate::picked::PickedPoints;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use simod_geometry::smoothstep;
 use simod_model::bounds::Bounds;
 
 /// A part of space, in model coordinates.
@@ -140,8 +141,7 @@ impl Shapes {
         if distance <= 0.0 {
             1.0
         } else if distance < self.falloff {
-            let t = distance / self.falloff;
-            1.0 - t * t * (3.0 - 2.0 * t)
+            1.0 - smoothstep(distance / self.falloff)
         } else {
             0.0
         }

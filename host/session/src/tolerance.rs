@@ -293,7 +293,7 @@ impl<'a> ToleranceSearch<'a> {
         let Sought { model, tolerance, progress, .. } = *self.sought;
         progress.begin("estimating the error", 0);
         let around = RestGeometry::new(&of.samples);
-        let mut field = DeformationField::of(&around, &deformed.positions, Method::default())
+        let mut field = DeformationField::from_deformed(&around, &deformed.positions, Method::default())
             .expecting(&of.frame, model.info());
         self.beginning.get_or_insert_with(|| UnrefinedState::new(of, &field));
         if deformed.stack.can_evaluate() {

@@ -73,54 +73,59 @@ impl ObjectLocation {
             let hint = "name an object as s3://bucket/folder/model.ply or https://host/model.ply";
             return Err(Error::argument(format!("{name} names no object"), hint));
         }
-        let retry = RetryConfig { retry_timeout: PATIENCE, ..RetryConfig::default() };
-        // Timeouts that are set in the environment are left as they are.
-        let is_unset = |prefix: &str| std::env::var_os(format!("{prefix}_TIMEOUT")).is_none();
-        let of_client = ClientConfigKey::Timeout;
-        let (store, parts): (Arc<dyn ObjectStore>, Option<Arc<dyn MultipartStore>>) = match scheme {
-            "s3" => {
-                let mut builder = AmazonS3Builder::from_env().with_bucket_name(host).with_retry(retry);
-                if is_unset("AWS") {
-                    builder = builder.with_config(AmazonS3ConfigKey::Client(of_client), timeout);
-                }
-                both(builder.build().map_err(refused)?)
-            }
-            "gs" => {
-                let mut builder =
-                    GoogleCloudStorageBuilder::from_env().with_bucket_name(host).with_retry(retry);
-                if is_unset("GOOGLE") {
-                    builder = builder.with_config(GoogleConfigKey::Client(of_client), timeout);
-                }
-                both(builder.build().map_err(refused)?)
-            }
-            "az" | "abfs" | "abfss" => {
-                let container = format!("{scheme}://{host}");
-                let mut builder = MicrosoftAzureBuilder::from_env().with_url(container).with_retry(retry);
-                if is_unset("AZURE") {
-                    builder = builder.with_config(AzureConfigKey::Client(of_client), timeout);
-                }
-                both(builder.build().map_err(refused)?)
-            }
-            _ => {
-                // Each request has the query of the base that it is made from, as of a URL that was signed.
-                let query =
-                    url.split_once('?').map_or("", |(_, query)| query.split('#').next().unwrap_or(query));
-                let base = format!("{scheme}://{host}/{}{query}", if query.is_empty() { "" } else { "?" });
-                let mut builder = HttpBuilder::new().with_url(base).with_retry(retry);
-                builder = builder.with_config(ClientConfigKey::Timeout, timeout);
-                // A user who writes http:// means it.
-                builder = builder.with_config(ClientConfigKey::AllowHttp, (scheme == "http").to_string());
-                (Arc::new(builder.build().map_err(refused)?), None)
-            }
-        };
+        let (store, parts) = store(url, (scheme, host), timeout).map_err(refused)?;
         Ok(Self { name, store, parts, path })
     }
 }
 
+/// A store by both traits: by the one for whole objects, and by that for objects in parts where it takes any.
+type SharedStore = (Arc<dyn ObjectStore>, Option<Arc<dyn MultipartStore>>);
+
+/// The store of a URL with this scheme and host. A request may take `timeout`, unless the environment says
+/// otherwise.
+fn store(url: &str, (scheme, host): (&str, &str), timeout: &str) -> object_store::Result<SharedStore> {
+    let retry = RetryConfig { retry_timeout: PATIENCE, ..RetryConfig::default() };
+    // Timeouts that are set in the environment are left as they are.
+    let is_unset = |prefix: &str| std::env::var_os(format!("{prefix}_TIMEOUT")).is_none();
+    let of_client = ClientConfigKey::Timeout;
+    Ok(match scheme {
+        "s3" => {
+            let mut builder = AmazonS3Builder::from_env().with_bucket_name(host).with_retry(retry);
+            if is_unset("AWS") {
+                builder = builder.with_config(AmazonS3ConfigKey::Client(of_client), timeout);
+            }
+            both(builder.build()?)
+        }
+        "gs" => {
+            let mut builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(host).with_retry(retry);
+            if is_unset("GOOGLE") {
+                builder = builder.with_config(GoogleConfigKey::Client(of_client), timeout);
+            }
+            both(builder.build()?)
+        }
+        "az" | "abfs" | "abfss" => {
+            let container = format!("{scheme}://{host}");
+            let mut builder = MicrosoftAzureBuilder::from_env().with_url(container).with_retry(retry);
+            if is_unset("AZURE") {
+                builder = builder.with_config(AzureConfigKey::Client(of_client), timeout);
+            }
+            both(builder.build()?)
+        }
+        _ => {
+            // Each request has the query of the base that it is made from, as of a URL that was signed.
+            let query = url.split_once('?').map_or("", |(_, query)| query.split('#').next().unwrap_or(query));
+            let base = format!("{scheme}://{host}/{}{query}", if query.is_empty() { "" } else { "?" });
+            let mut builder = HttpBuilder::new().with_url(base).with_retry(retry);
+            builder = builder.with_config(ClientConfigKey::Timeout, timeout);
+            // A user who writes http:// means it.
+            builder = builder.with_config(ClientConfigKey::AllowHttp, (scheme == "http").to_string());
+            (Arc::new(builder.build()?), None)
+        }
+    })
+}
+
 /// One store by both traits.
-fn both<S: ObjectStore + MultipartStore>(
-    store: S,
-) -> (Arc<dyn ObjectStore>, Option<Arc<dyn MultipartStore>>) {
+fn both<S: ObjectStore + MultipartStore>(store: S) -> SharedStore {
     let store = Arc::new(store);
     (store.clone(), Some(store))
 }

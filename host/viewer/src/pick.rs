@@ -6,6 +6,7 @@ use crate::clip::cuts;
 use crate::scene::ViewerScene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
+use simod_geometry::smoothstep;
 
 /// Greatest number of pixels of the buffer along its longer side.
 const LONGEST: f64 = 1024.0;
@@ -267,7 +268,7 @@ fn surface(scene: &ViewerScene, ray: &Ray, sample: u32, radius: f64) -> Hit {
             let (q, m) = of(*i);
             let t = (p.distance(q) / (2.0 * radius).max(f64::MIN_POSITIVE)).min(1.0);
             // Samples of other sheets nearby have other normals.
-            let weight = (1.0 - t * t * (3.0 - 2.0 * t)) * m.dot(own).max(0.0);
+            let weight = (1.0 - smoothstep(t)) * m.dot(own).max(0.0);
             (sum, point, normal) = (sum + weight, point + weight * q, normal + weight * m);
         }
         let Some(mean) = normal.try_normalize().filter(|_| sum > 0.0) else { break };

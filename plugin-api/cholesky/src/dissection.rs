@@ -21,39 +21,39 @@ const SUBTREES: usize = 32;
 /// But they have so many nodes, at most, without being cut further.
 const LEAST_SUBTREE: usize = 1024;
 
-/// Which nodes share an entry of the matrix off the diagonal.
+/// Graph of the matrix: pairs of nodes that share an entry off its diagonal.
 #[derive(Debug)]
 pub struct Pattern {
     starts: Vec<usize>,
     all: Vec<u32>,
 }
 
-/// The order, and what is eliminated at once.
+/// The order of elimination, and the supernodes, each eliminated at once.
 #[derive(Debug, Default)]
 pub struct EliminationTree {
     /// Nodes as they are eliminated.
     pub order: Vec<u32>,
-    /// What is eliminated at once, children before parents.
+    /// Supernodes, children before parents.
     pub parts: Vec<Supernode>,
-    /// Parts that share no entry with those of other ranges; the rest of the parts come last.
+    /// Ranges of supernodes that share no entry with those of other ranges; the remaining ones come last.
     pub subtrees: Vec<Range<usize>>,
 }
 
 /// Nodes that are eliminated at once.
 #[derive(Debug)]
 pub struct Supernode {
-    /// Where they are in the order.
+    /// Places of the nodes in the order.
     pub columns: Range<usize>,
-    /// The parts before it that it parts.
+    /// Indices of the earlier supernodes that this one separates from each other.
     pub children: Vec<usize>,
 }
 
 /// A set of nodes.
 #[derive(Debug, Default)]
 struct Set {
-    /// Where its nodes are: those of its halves, then those between.
+    /// Places of the set's nodes: those of its halves, then those between.
     nodes: Range<usize>,
-    /// How many are between: all of them if it is not halved.
+    /// Number of nodes between the halves: all of the set if it is not halved.
     between: usize,
     halves: Vec<usize>,
     /// The set's supernode, by its place among them, once there is one.
@@ -138,7 +138,7 @@ impl EliminationTree {
 
 /// Halves sets again and again, and puts `nodes` in the sets' order. The first set is that of all.
 fn dissect(nodes: &mut [u32], pattern: &Pattern, at: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<Set>> {
-    // Which half each node is in; other threads look as well, but for halves of theirs.
+    // Half that each node is in; other threads look as well, but for halves of theirs.
     let half_of: Vec<AtomicU32> = (0..nodes.len()).map(|_| AtomicU32::new(0)).collect();
     let mut sets = vec![Set { nodes: 0..nodes.len(), ..Set::default() }];
     let mut level = 0..1;

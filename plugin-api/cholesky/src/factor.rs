@@ -18,7 +18,7 @@ use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is added to the diagonal, relative to it, until rounding leaves the matrix positive definite.
+/// Additions to the diagonal, relative to it, tried until rounding leaves the matrix positive definite.
 const RIDGES: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
 
 /// Up to so many unknowns, a pass takes less time on one thread than it takes to share it out.

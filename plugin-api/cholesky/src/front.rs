@@ -26,9 +26,9 @@ pub struct Update {
 /// A front.
 #[derive(Debug)]
 pub struct Front {
-    /// How many unknowns are eliminated.
+    /// Number of unknowns that are eliminated.
     pub columns: usize,
-    /// The unknowns after them that have to do with them, ascending.
+    /// Later unknowns that share entries with those, ascending.
     pub rows: Vec<u32>,
     /// The columns that are eliminated, one by one, with a row for each unknown; nothing of what is above the
     /// diagonal.
@@ -36,7 +36,7 @@ pub struct Front {
     update: Vec<f64>,
 }
 
-/// Where in a front some of its unknowns are.
+/// Rows of a front in which some of its unknowns are.
 pub fn places(rows: &[u32], columns: &Range<usize>, after: &[u32]) -> Vec<usize> {
     let mut next = 0;
     let place = |row: &u32| {
@@ -189,7 +189,7 @@ impl Front {
         true
     }
 
-    /// What is left: the panel's rows, the panel, and what is passed on.
+    /// Returns the panel, and the update that is passed on to the front's parent.
     pub fn into_parts(self) -> (Vec<f64>, Update) {
         (self.panel, Update { rows: self.rows, values: self.update })
     }

@@ -1,4 +1,4 @@
-//! What a solution does with the entries of a front, for three right-hand sides at once.
+//! Kernels of a solution with the entries of a front, for three right-hand sides at once.
 //!
 //! Sums are the same, in the same order, however wide the processor's vectors are.
 
@@ -11,9 +11,9 @@ pub type KernelLanes<T = f64> = [T; WIDTH];
 /// The number of lanes.
 pub const WIDTH: usize = 8;
 
-/// How entries of a factor are kept.
+/// Number type in which entries of a factor are kept.
 pub trait Stored: Copy + Default + Send + Sync + std::fmt::Debug + Into<f64> {
-    /// The nearest one.
+    /// The number of this type that is nearest.
     fn nearest(number: f64) -> Self;
 }
 
@@ -23,7 +23,7 @@ impl Stored for f64 {
     }
 }
 
-/// Half as much to read, for what is corrected afterwards, or but a beginning.
+/// Half as much to read, for solutions that are corrected afterwards, or only begin an iteration.
 impl Stored for f32 {
     fn nearest(number: f64) -> Self {
         number as Self
@@ -121,9 +121,9 @@ impl<T: Stored> FrontTriangle<'_, T> {
 pub struct Below<'a, T> {
     /// Column by column.
     values: &'a [KernelLanes<T>],
-    /// From one column to the next.
+    /// Lanes from one column to the next.
     stride: usize,
-    /// Which of a column's lanes.
+    /// Range of each column's lanes.
     lanes: Range<usize>,
     columns: usize,
 }
@@ -134,7 +134,7 @@ impl<'a, T: Stored> Below<'a, T> {
         Self { values, stride, lanes: 0..stride, columns }
     }
 
-    /// How many lanes its columns have.
+    /// Number of lanes of each column.
     pub fn height(&self) -> usize {
         self.lanes.len()
     }

@@ -5,11 +5,11 @@
 //! Symmetric ──dissection──▶ order, tree of parts ──structure──▶ rows of each part ──fronts──▶ Factor ──▶ solutions
 //! ```
 //!
-//! Why not faer's own, on which each dense front stands here: a factorisation of a plugin has to stop when
-//! the user asks it to, within a frame, and to tell its progress; to give the same bits whatever the number
-//! of threads; and to solve for the three coordinates at once in one pass over the factor, which is what a
-//! drag waits for. Beside faer 0.24, seconds on two cores with AVX-512, the squared Laplacian of a torus, by
-//! `benches/cholesky`:
+//! Each dense front stands on faer. Its own sparse factorisation is not used: a factorisation of a plugin has
+//! to stop when the user asks it to, within a frame, and to tell its progress; to give the same bits whatever
+//! the number of threads; and to solve for the three coordinates at once in one pass over the factor, which
+//! is what a drag waits for. Beside faer 0.24, seconds on two cores with AVX-512, the squared Laplacian of a
+//! torus, by `benches/cholesky`:
 //!
 //! | unknowns, threads | factor | faer's | three solutions | faer's |
 //! |---|---:|---:|---:|---:|

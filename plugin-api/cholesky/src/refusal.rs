@@ -1,8 +1,8 @@
-//! Why there is no factor.
+//! Reasons for which there is no factor.
 
 use simod_plugin_api::PluginError;
 
-/// Why there is no factor.
+/// Reason for which there is no factor.
 #[derive(Debug)]
 pub enum Refusal {
     /// The matrix is not positive definite, even with a little added to its diagonal.

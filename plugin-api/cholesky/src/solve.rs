@@ -22,20 +22,20 @@ pub struct FrontRun<T> {
     rows: Vec<u32>,
     /// The fronts' triangles: columns from the diagonal on.
     triangles: Vec<T>,
-    /// What is below them, column by column.
+    /// The fronts' entries below their triangles, column by column.
     below: Vec<KernelLanes<T>>,
 }
 
-/// Which unknowns a front has.
+/// Shape of a front: its unknowns, and the places of its entries in the run's lists.
 #[derive(Debug, Clone, Copy)]
 struct FrontShape {
     /// The first that it eliminates, relative to the run's.
     start: usize,
     columns: usize,
-    /// How many of its rows are the run's, and how many are beyond.
+    /// Number of its rows that are the run's, and of those beyond.
     inside: usize,
     beyond: usize,
-    /// Where its rows, its triangle and what is below that begin.
+    /// First index of its rows, of its triangle, and of its entries below that.
     at: [usize; 3],
 }
 
@@ -78,8 +78,8 @@ impl<T: Stored> FrontRun<T> {
         update
     }
 
-    /// When all fronts are there: `beyond` are the rows of the last one, and `first` the first unknown of the
-    /// last run.
+    /// Completes the run once all fronts are there: `beyond` are the rows of the last one, and `first` the
+    /// first unknown of the last run.
     pub fn end(&mut self, beyond: &[u32], first: usize) {
         for shape in &self.fronts {
             for row in &mut self.rows[shape.at[0] + shape.inside..][..shape.beyond] {
@@ -169,7 +169,7 @@ impl<T: Stored> FrontRun<T> {
     }
 }
 
-/// What is compiled for several kinds of processors.
+/// Forward substitution through a run, compiled for several kinds of processors.
 struct Forward<'a, T> {
     run: &'a FrontRun<T>,
     own: &'a mut [DVec3],

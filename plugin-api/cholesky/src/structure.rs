@@ -1,5 +1,5 @@
-//! Which unknowns each front has, and how much memory a factorisation takes: found before there is any
-//! number.
+//! Structure of a factorisation, found before there is any number: the unknowns of each front, and the memory
+//! that it takes.
 //!
 //! J. Liu, *The Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992. A surface's fronts are
 //! small. Where samples in one place are joined without any order, they are not, and what cannot be held is

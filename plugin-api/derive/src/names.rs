@@ -23,7 +23,7 @@ pub fn id(ident: &Ident, given: Option<&LitStr>, used: &mut HashSet<String>) -> 
     Ok(id)
 }
 
-/// What the user reads for it: its name in the code as words, the first one capitalised.
+/// Name of an item for the user: its name in the code as words, the first one capitalised.
 pub fn sentence(ident: &Ident) -> String {
     let words = ident.unraw().to_string().to_kebab_case().replace('-', " ");
     let mut letters = words.chars();

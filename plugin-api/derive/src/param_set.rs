@@ -89,8 +89,8 @@ fn parameter(field: &Field, used: &mut HashSet<String>) -> syn::Result<Parameter
     })
 }
 
-/// How a parameter is made and read whose kind the type does not tell. The compiler checks that the type
-/// fits.
+/// Code that describes and reads a parameter whose kind its type does not tell. The compiler checks that the
+/// type fits.
 fn named_kind(
     KindFunctions { make, read }: &KindFunctions,
     ty: &Type,

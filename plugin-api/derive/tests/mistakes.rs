@@ -1,4 +1,4 @@
-//! What the derives refuse: with texts that help, at the places that they speak of.
+//! Mistakes that the derives refuse: with texts that help, at the places that they speak of.
 
 /// The compiler's messages, beside each program. `TRYBUILD=overwrite` writes them anew.
 #[test]

@@ -1,11 +1,11 @@
 //! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, rotations,
-//! definite systems, the kernel, the sheet metric.
+//! definite systems, the kernel, smooth steps, outer products, affine maps, the sheet metric.
 
 mod jacobi;
 mod rotation;
 mod sheet;
 
-use glam::{DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 pub use jacobi::jacobi_eigen;
 pub use rotation::{horn_matrix, nearest_rotation};
 pub use sheet::{STACKED, STEEPEST, chord_length, sheet_distance};
@@ -96,6 +96,19 @@ pub fn least_eigenvalue(a: DMat3) -> f64 {
     root.min((minors.max(0.0) / 3.0).sqrt()) * trace
 }
 
+/// Outer product a bᵀ.
+#[inline]
+pub fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// Affine map of the rows `[M | t]`, as plugins are given it.
+#[inline]
+pub fn affine_map(rows: &[[f64; 4]; 3]) -> DAffine3 {
+    let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
+    DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+}
+
 /// Solves A x = b for a symmetric positive definite A, of which the lower triangle is read, and vectors as
 /// unknowns, by Cholesky's decomposition. `None` if A is not positive definite.
 pub fn solve_positive_definite<const N: usize>(
@@ -131,6 +144,13 @@ pub fn solve_positive_definite<const N: usize>(
         b[i] /= a[i][i];
     }
     Some(b)
+}
+
+/// Value 0 below 0 and 1 above 1, and between them 3t² − 2t³, which is flat at both ends.
+#[inline]
+pub fn smoothstep(t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// The kernel of the paper's §5, h(t) = 1 − 3t² + 2t³ on [0, 1], and 0 beyond.
@@ -183,8 +203,17 @@ mod tests {
     }
 
     #[test]
+    fn rows_become_the_map_that_they_describe() {
+        let map = affine_map(&[[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [9.0, 10.0, 11.0, 12.0]]);
+        assert_eq!(map.transform_point3(DVec3::new(1.0, -1.0, 2.0)), DVec3::new(9.0, 21.0, 33.0));
+        let (a, b) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(-1.0, 0.5, 4.0));
+        assert_eq!(outer(a, b) * DVec3::new(2.0, 2.0, 1.0), a * b.dot(DVec3::new(2.0, 2.0, 1.0)));
+    }
+
+    #[test]
     fn kernel_is_one_at_the_centre_and_flat_at_both_ends() {
         assert_eq!((hermite(0.0), hermite(0.5), hermite(1.0), hermite(3.0)), (1.0, 0.5, 0.0, 0.0));
+        assert_eq!([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0].map(smoothstep), [0.0, 0.0, 0.15625, 0.5, 1.0, 1.0]);
         assert!((hermite(1e-3) - 1.0).abs() < 1e-5 && hermite(1.0 - 1e-3) < 1e-5);
     }
 }

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-/// How much more a distance across the surface counts than one along it.
+/// Factor by which a distance across the surface counts more than one along it.
 pub const STACKED: f32 = 10.0;
 
 /// The sine against the surface beyond which a chord joins two sheets.

@@ -3,6 +3,7 @@
 use crate::mesh::Cage;
 use crate::panels::Panel;
 use glam::{DMat3, DVec3};
+use simod_geometry::outer;
 
 /// Part of the volume of a map's lengths below which the map is flat.
 const FLAT: f64 = 1e-9;
@@ -63,10 +64,6 @@ impl MovedCage {
             if is_flat { self.whole } else { rotation(sum) * (scale.exp() * volume.cbrt()).sqrt() };
         similarity * self.common
     }
-}
-
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 /// Root of the mean square of the stretches.

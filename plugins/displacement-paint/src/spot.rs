@@ -8,7 +8,7 @@
 use crate::canvas::Canvas;
 use crate::surface::LinkedSurface;
 use glam::{DVec3, Vec3};
-use simod_geometry::sheet_distance;
+use simod_geometry::{sheet_distance, smoothstep};
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
@@ -378,6 +378,5 @@ impl Finder<'_> {
 
 /// Smooth step: 0 below the first number, 1 above the second.
 fn step(from: f64, to: f64, x: f64) -> f64 {
-    let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
+    smoothstep((x - from) / (to - from))
 }

@@ -34,6 +34,7 @@ use held::{Goals, SampleGoals};
 use lattice::{CellPoint, HexMesh};
 use occupancy::{Enclosure, Occupancy, PARTS};
 use path::Path;
+use simod_geometry::affine_map;
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
     PrepareInput,
@@ -111,7 +112,7 @@ impl UnitBox {
     }
 
     fn map(&self, map: &Affine) -> DAffine3 {
-        let matrix3 = affine(map).matrix3;
+        let matrix3 = affine_map(&map.rows).matrix3;
         let translation = (DVec3::from(map.apply(self.origin.into())) - self.origin) / self.scale;
         DAffine3 { matrix3, translation }
     }
@@ -238,15 +239,10 @@ impl Deformer for Elastic {
             return Ok(());
         };
         let motion = asked_motion(state, input, &settings, &finest.body)?;
-        let (used, x) = if input.effort() == Effort::DRAFT {
-            (state.levels.len() - 1, motion.way(state, true, host)?)
-        } else {
-            (0, motion.rest(state, host)?)
-        };
-        let level = &state.levels[used];
+        let (level, x) = motion.solve(state, input.effort(), host)?;
         let maps = level.body.corner_maps(&x, host)?;
         let leads = leads(state, level, &x);
-        let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let handles: Vec<DAffine3> = transforms.iter().map(|map| affine_map(&map.rows)).collect();
         host.parallel_blocks(out, BLOCK, |first, out| {
             for (i, o) in (first..).zip(out) {
                 let p = DVec3::from(rest[i].map(f64::from));
@@ -291,6 +287,21 @@ impl AskedMotion {
     ) -> LoadCase<'a> {
         let contact = state.surface.as_ref().filter(|_| self.contact);
         LoadCase { goals, weight: self.weight * part, contact: contact.map(|s| (s, &level.places[..])) }
+    }
+
+    /// Places of a lattice's corners: for a draft those of the coarsest one on the handles' way, and else
+    /// those of the finest one at rest.
+    fn solve<'a>(
+        &self,
+        state: &'a PreparedBody,
+        effort: Effort,
+        host: &Host<'_>,
+    ) -> PluginResult<(&'a HeldLevel, Vec<DVec3>)> {
+        Ok(if effort == Effort::DRAFT {
+            (&state.levels[state.levels.len() - 1], self.way(state, true, host)?)
+        } else {
+            (&state.levels[0], self.rest(state, host)?)
+        })
     }
 
     /// Number of steps into which the handles' paths are parted.
@@ -358,11 +369,6 @@ impl AskedMotion {
         }
         Ok(x)
     }
-}
-
-fn affine(map: &Affine) -> DAffine3 {
-    let column = |k: usize| DVec3::new(map.rows[0][k], map.rows[1][k], map.rows[2][k]);
-    DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }
 
 fn paths(state: &PreparedBody, transforms: &[Affine]) -> Vec<Path> {

@@ -1,6 +1,7 @@
 //! Constraints of the samples by the regions.
 
 use glam::{DAffine3, DMat3, DVec3};
+use simod_geometry::affine_map;
 use simod_plugin_api::{Affine, PluginError, PluginResult, PrepareInput, Role};
 
 use crate::rotation;
@@ -100,7 +101,7 @@ pub struct OwnMotions {
 impl OwnMotions {
     /// Motions for methods that know rotations: the common motion is rigid.
     pub fn rigid(transforms: &[Affine], has_fixed: bool) -> Self {
-        let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let maps: Vec<DAffine3> = transforms.iter().map(|map| affine_map(&map.rows)).collect();
         let mut common = DAffine3::IDENTITY;
         if !has_fixed && let Some(first) = maps.first() {
             let turn = rotation::nearest(first.matrix3, DMat3::IDENTITY);
@@ -120,7 +121,7 @@ impl OwnMotions {
 
     /// Motions for linear methods: the common motion is the handles' mean.
     pub fn affine(transforms: &[Affine], has_fixed: bool) -> Self {
-        let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let maps: Vec<DAffine3> = transforms.iter().map(|map| affine_map(&map.rows)).collect();
         let mut common = DAffine3::IDENTITY;
         if !has_fixed && let Some(first) = maps.first() {
             let share = 1.0 / maps.len() as f64;
@@ -165,10 +166,4 @@ impl OwnMotions {
             }
         }
     }
-}
-
-/// Affine map as the mathematics library has it.
-pub fn affine(map: &Affine) -> DAffine3 {
-    let column = |k: usize| DVec3::new(map.rows[0][k], map.rows[1][k], map.rows[2][k]);
-    DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }

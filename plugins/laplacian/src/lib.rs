@@ -37,13 +37,14 @@ mod stars;
 mod surface;
 
 use arap::DescentEnd;
-use constraints::{OwnMotions, SampleConstraints, SampleTarget, affine};
+use constraints::{OwnMotions, SampleConstraints, SampleTarget};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
 use guidance::Hierarchy;
 use linear::{BiLaplacian, Smoothest};
 use problem::{Constraint, Problem};
 use rotated::{Rotated, Stiffness};
+use simod_geometry::affine_map;
 use simod_plugin_api::{
     Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, Migrate, MigrationDesc, ParamSet,
     PluginError, PluginResult, PrepareInput, Settings,
@@ -238,7 +239,7 @@ impl Deformer for Laplacian {
         }
         let displacements =
             if motion.is_common() { Vec::new() } else { displacements(&state.method, &motion, input, host)? };
-        let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let handles: Vec<DAffine3> = transforms.iter().map(|map| affine_map(&map.rows)).collect();
         // Displacements of linear methods are added after the common motion.
         let turn = if matches!(state.method, LaplacianMethod::Bilaplacian(_)) {
             DMat3::IDENTITY

@@ -3,6 +3,7 @@
 use crate::reach::{turned, turns};
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
+use simod_geometry::affine_map;
 use simod_plugin_api::{Affine, Gizmo, HandleDesc, PluginError, PluginResult};
 
 /// End of the id of a handle for which a joint reaches.
@@ -73,7 +74,7 @@ impl Handles {
             let message = format!("{} motions of {} joints", motions.len(), count);
             return Err(PluginError::internal(message));
         }
-        let given: Vec<DAffine3> = motions.iter().map(affine).collect();
+        let given: Vec<DAffine3> = motions.iter().map(|map| affine_map(&map.rows)).collect();
         // The motion of a handle includes that of the handle above. An end has no bone, and goes along with
         // the bone above.
         let mut posed: Vec<DAffine3> = given[..count].to_vec();
@@ -142,13 +143,5 @@ fn reach(skeleton: &Skeleton, posed: &mut [DAffine3], end: usize, target: DVec3,
         if let Some(change) = changes[i] {
             posed[i] = change * posed[i];
         }
-    }
-}
-
-fn affine(map: &Affine) -> DAffine3 {
-    let [x, y, z] = map.rows;
-    DAffine3 {
-        matrix3: DMat3::from_cols_array(&[x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]]),
-        translation: DVec3::new(x[3], y[3], z[3]),
     }
 }

@@ -8,6 +8,7 @@
 use crate::distance;
 use crate::regions::MergedRegions;
 use glam::{DMat2, DVec2, Vec3};
+use simod_geometry::smoothstep;
 use simod_plugin_api::{Curve, Graph, Host, ParamDesc, Params, PluginError, PluginResult};
 
 /// Number of samples that are looked after at once on one thread.
@@ -297,7 +298,7 @@ impl<'a> Profile<'a> {
     fn evaluate(&self, t: f64) -> f64 {
         match self {
             Self::Linear => t,
-            Self::Smooth => t * t * (3.0 - 2.0 * t),
+            Self::Smooth => smoothstep(t),
             Self::Smoother => t * t * t * (t * (6.0 * t - 15.0) + 10.0),
             Self::Curve(curve) => curve.at(t),
         }

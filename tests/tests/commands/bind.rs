@@ -55,7 +55,8 @@ fn of_no_use_it_is_not_used() {
         assert!(outcome.stderr.contains("binding.bin is not used"), "{}", outcome.stderr);
         assert!(work.read("out.ply") == expected[0]);
     }
-    // What is behind its beginning is only looked at when it is needed: from there on it is done without.
+    // The bytes behind the beginning are only looked at when they are needed: from there on the run goes on
+    // without a binding.
     let mut damaged = good.clone();
     let last = damaged.len() - 10;
     damaged[last] ^= 1;

@@ -1,4 +1,4 @@
-//! What is made of models that cannot be read from anywhere: one cache beside the sampled model.
+//! The cache beside a sampled model, made of models that cannot be read from anywhere.
 
 use glam::DVec3;
 use simod_tests::Workplace;
@@ -31,7 +31,7 @@ fn pcd(shift: f32) -> [Vec<u8>; 2] {
     ]
 }
 
-/// Where a note says that a file is filled.
+/// Words of a note that a file is filled.
 const SAYS: &str = "are unpacked into";
 
 #[test]
@@ -65,7 +65,7 @@ fn a_compressed_file_is_unpacked_once_beside_the_samples() {
         assert!(!outcome.stderr.contains(SAYS), "{line}: {}", outcome.stderr);
     }
     assert!(work.read("out.pcd") == expected);
-    // It goes along with the samples.
+    // The cache goes along with the samples.
     assert!(work.read("fine.simod/cache.bin") == filled);
 
     // Removed, damaged, of another version or cut off, it is made anew.
@@ -172,7 +172,7 @@ fn a_cache_is_whole_or_made_anew() {
         child.kill().expect("a child");
         child.wait().expect("an end");
         is_part += u32::from(in_the_making(&folder).is_some_and(|bytes| bytes > 0));
-        // Who finds it finds all of it.
+        // A cache that is there is complete.
         if folder.join("cache.bin").exists() {
             assert!(work.read("m.simod/cache.bin") == filled, "round {round}");
         }

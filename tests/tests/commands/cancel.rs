@@ -22,7 +22,7 @@ fn an_interrupted_run_leaves_nothing() {
         assert!(sent.success());
         let outcome = Outcome::from(child.wait_with_output().expect("an end"));
         if outcome.code == Some(0) {
-            // It was done before.
+            // The run was done before the signal came.
             std::fs::remove_file(work.path("edited.ply")).expect("an output");
             continue;
         }

@@ -5,7 +5,7 @@ use simod_tests::Workplace;
 #[cfg(unix)]
 use simod_tests::skip;
 
-/// What all of these comparisons have in common: a bar from y = 0 to y = 2.
+/// Head that all of these comparisons have in common: a bar from y = 0 to y = 2.
 pub const HEAD: &str = r#"
 [model]
 path = "bar.ply"
@@ -109,7 +109,7 @@ fn two_methods_beside_each_other() {
         assert_eq!(length, number(&record, &format!("{figures}/{name}")) * diagonal, "{figures}/{name}");
     }
     assert!(record.pointer("/methods/0/figures/on_samples/edges/lengths").is_none());
-    // What is what comes first, as people read it.
+    // The record's keys come in the order in which people read it.
     let text = String::from_utf8(work.read("out/compare.json")).expect("UTF-8");
     let places =
         ["format", "model", "methods", "pairs", "files"].map(|key| text.find(&format!("\n  \"{key}\":")));
@@ -315,7 +315,8 @@ fn table(work: &Workplace, folder: &str) -> Vec<std::collections::BTreeMap<Strin
     lines.map(|row| names.iter().cloned().zip(row).collect()).collect()
 }
 
-/// What other programs made is compared as all else is: samples, a model, and what a program makes of either.
+/// Results of other programs are compared as all others are: samples, a model, and what a program makes of
+/// either.
 #[cfg(unix)]
 #[test]
 fn what_others_made_is_a_method() {
@@ -495,7 +496,7 @@ fn an_interrupted_comparison_leaves_nothing() {
         assert!(sent.success());
         let outcome = simod_tests::Outcome::from(child.wait_with_output().expect("an end"));
         if outcome.code == Some(0) {
-            // It was done before.
+            // The comparison was done before the signal came.
             std::fs::remove_dir_all(work.path("out")).expect("a folder");
             continue;
         }

@@ -110,7 +110,7 @@ fn las_and_laz_keep_everything() {
         assert!(work.simod("info a.laz").stdout.contains("ETRS89 / UTM zone 32N"));
         work.simod("convert a.laz back.las");
         assert!(work.read("back.las") == work.read("a.las"), "{format:?}");
-        // What goes to text loses its reference system; as text, PLY keeps it.
+        // Columns lose the reference system; PLY as text keeps it.
         work.refuses("convert a.laz a.csv", &["the coordinate reference system ETRS89 / UTM zone 32N"]);
         work.simod("convert a.laz a.ply");
         // A deformation on the way: the points that it writes in its own format.
@@ -241,7 +241,7 @@ fn polygons_stay_polygons() {
     let obj = String::from_utf8(work.read("d.obj")).expect("text");
     let of_obj: String = faces.iter().map(|face| format!("f{}", line(face, 1))).collect();
     assert!(obj.ends_with(&of_obj));
-    // Where there are none larger, their number of corners is a byte, which all programs know.
+    // Without such large faces, their number of corners is a byte, which all programs know.
     work.write("small.off", format!("OFF\n1000 1 0\n{vertices}5 0 1 2 3 4\n"));
     work.simod("convert small.off small.ply");
     let head = String::from_utf8_lossy(&work.read("small.ply")).into_owned();
@@ -250,7 +250,7 @@ fn polygons_stay_polygons() {
     let triangles: usize = faces.iter().map(|face| face.len() - 2).sum();
     let lost = format!("which of the {triangles} triangles are one of 4000 faces");
     work.refuses("convert m.off m.stl", &[&lost]);
-    // What ends before it is a triangle.
+    // A face of two corners is no triangle, and would be lost.
     work.write("few.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\nf 1 2 3\n");
     work.refuses("convert few.obj few.ply", &["would lose: 1 face of fewer than three corners"]);
     // Strips are triangles in other formats.
@@ -318,7 +318,7 @@ fn what_cannot_be_written() {
     work.refuses("convert m.obj m.obj", &["m.obj is read by this command"]);
     work.refuses("convert m.obj missing/m.ply", &["missing"]);
     work.refuses("convert c.xyz c.stl --lossy", &["has no faces"]);
-    work.refuses("convert c.xyz c.las --step 0", &["the step between positions is none"]);
+    work.refuses("convert c.xyz c.las --step 0", &["the step between positions is not above 0"]);
     work.refuses(
         "convert c.xyz c.las --step 1e-9 --origin 0,0,0",
         &["vertex 1", "(1, 2, 3)", "the step 0.000000001"],
@@ -457,7 +457,7 @@ fn deformed_models_are_written_in_other_formats() {
     assert!(work.read("run.obj") == work.read("same.obj"));
 }
 
-/// What was interrupted is gone on with, as in the model's own format.
+/// Interrupted conversions are gone on with, as in the model's own format.
 #[test]
 fn conversions_on_the_way_are_resumed() {
     let work = Workplace::new();
@@ -477,7 +477,7 @@ fn conversions_on_the_way_are_resumed() {
     }
 }
 
-/// What is wrong is the first thing that is, whatever the threads were at.
+/// The error that is told is the first one in the file, whatever the threads were at.
 #[test]
 fn errors_do_not_depend_on_the_threads() {
     let work = Workplace::new();
@@ -629,12 +629,12 @@ fn a_reference_system_goes_through_ply() {
     }
     std::fs::remove_file(work.path("a.ply")).expect("a file");
     assert!(work.report("info m.simod")["crs"].is_null());
-    // What says who wrote a file is no loss.
+    // A comment on who wrote a file is no loss.
     let outcome = work.run("convert m.simod/samples.ply s.las");
     assert!(!outcome.stderr.contains("comment"), "{}", outcome.stderr);
 }
 
-/// What LAS says of extra bytes and of times goes through PLY, and is named where it is lost.
+/// Descriptions of extra bytes and of times in LAS go through PLY, and are named where they are lost.
 #[test]
 fn what_is_said_of_extra_bytes_goes_through_ply() {
     let work = Workplace::new();
@@ -723,8 +723,8 @@ fn what_is_said_of_extra_bytes_goes_through_ply() {
     assert!(text.trim_end().lines().last().is_some_and(|line| line.contains(",100.005,")), "{text}");
 }
 
-/// What a file says of times is not said of points that have none, and what it says of an attribute goes to
-/// that one.
+/// Descriptions of times are not written for points that have none, and those of an attribute go to that
+/// one.
 #[test]
 fn remarks_go_to_what_they_are_of() {
     let work = Workplace::new();
@@ -769,7 +769,7 @@ fn text_has_the_digits_of_fine_steps() {
     assert_eq!(text.lines().next(), Some("-0.52573111 0.85065081 0.00000001"));
 }
 
-/// What positions lose is said in the model's unit and as a fraction of its diagonal.
+/// Losses of positions are told in the model's unit and as a fraction of its diagonal.
 #[test]
 fn coarser_positions_are_told_as_lengths_and_fractions() {
     let work = Workplace::new();
@@ -845,7 +845,7 @@ fn what_las_holds_of_a_text_needs_no_word() {
     }
 }
 
-/// What is asked for in vain, or promised by a name, is said.
+/// Options that ask for something in vain, and names that promise what is not there, are told.
 #[test]
 fn names_and_options_that_promise_too_much_are_told() {
     let work = Workplace::new();

@@ -1,4 +1,4 @@
-//! What `reconstruct` says of the surface: figures for each vertex, and a warning where it folds.
+//! Diagnostics of `reconstruct`: figures of the surface at each vertex, and a warning where it folds.
 
 use glam::{DQuat, DVec3};
 use serde_json::Value;
@@ -111,8 +111,7 @@ fn stretches_of_an_affine_map() {
             along += 1;
             assert!(f.largest > 1.9, "{n}: {}", f.largest);
         }
-        // Where it is across the surface, nothing is stretched; the normals of samples differ from those of
-        // vertices.
+        // Where x is the normal, nothing is stretched; the normals of samples differ from those of vertices.
         if n.x.abs() > 0.99 {
             assert!(f.largest < 1.3, "{n}: {}", f.largest);
         }

@@ -14,7 +14,7 @@ use crate::las::kill_after;
 /// Points of a scan.
 const COUNT: usize = 60_000;
 
-/// Where the second scan stands; the first one has no pose.
+/// Pose of the second scan; the first one has none.
 fn pose() -> (DQuat, DVec3) {
     (DQuat::from_xyzw(0.0, 0.36, 0.48, 0.8), DVec3::new(412_345.5, 5_318_765.25, 100.0))
 }
@@ -239,7 +239,7 @@ fn integers_get_other_ranges_where_their_bits_allow() {
         let expected = wide(DVec3::new(before[0], before[1], before[2]));
         let found = DVec3::new(after[0], after[1], after[2]);
         assert!((found - expected).abs().max_element() < 0.6e-3, "{found} for {expected}");
-        // What does not move stays on its number; what was no position is what it was.
+        // A coordinate that does not move stays on its number; numbers that are no positions are as before.
         assert!((before[1] - after[1]).abs() < 1e-9 && before[3] == after[3]);
     }
     // A second time, from there, to the bit.

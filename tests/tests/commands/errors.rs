@@ -1,5 +1,4 @@
-//! What goes wrong with files: each time one line says what and where, one what to do, and nothing is left
-//! behind.
+//! Errors about files: each time one line says what and where, one what to do, and nothing is left behind.
 
 use glam::DVec3;
 use simod_tests::{Ply, Workplace, skip};
@@ -68,7 +67,7 @@ fn objects_without_object_storage() {
             assert!(outcome.hint().contains("--features object-storage"), "{}", outcome.stderr);
             assert!(!outcome.stderr.contains("5ecret"), "{}", outcome.stderr);
         }
-        // What is no model stays in files.
+        // Pictures and other files that are no models stay in files.
         work.refuses(&format!("render model.ply -o {name}"), &[shown, "here a file is needed"]);
     }
 }
@@ -107,7 +106,7 @@ fn a_header_that_lies() {
     }
 }
 
-/// They are counted and told of, and keep their bytes; all others move.
+/// Positions that are not finite are counted and told of, and keep their bytes; all others move.
 #[test]
 fn positions_that_are_not_finite() {
     let work = Workplace::new();
@@ -351,7 +350,7 @@ fn a_target_that_cannot_be_written() {
         work.refuses(&format!("render model.ply --size 64x64 --turntable 2 -o {target}"), &[target]);
         work.refuses(&format!("sample model.ply -o {target}"), &[target]);
     }
-    // What is there already stays as it is, whatever fails.
+    // A file that is there already stays as it is, whatever fails.
     work.write("out.ply", "precious");
     work.write("deformed.ply", text_model(&["0 0 0"]));
     work.refuses(RECONSTRUCT, &["deformed.ply"]);

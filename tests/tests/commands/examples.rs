@@ -81,7 +81,7 @@ fn the_library() {
     assert!(!finer.starts_with("0 samples"), "{finer}");
     let said = run("edit", &["amphora.ply", "edited-too.ply", "edit.toml"]);
     assert!(said.contains("undone: change angle of warp"), "{said}");
-    // What was edited is what the saved session says.
+    // The edit is the one that the saved session says.
     work.simod("run edit.toml -o again.ply");
     assert!(work.read("edited-too.ply") == work.read("again.ply"));
     assert!(work.read("edited.ply") != work.read("amphora.ply"));
@@ -96,7 +96,7 @@ fn the_library() {
 /// A copy of a lesson's folder, after the commands of its page.
 struct Lesson {
     folder: PathBuf,
-    /// What the commands wrote to their standard output.
+    /// Standard output of the commands.
     said: String,
 }
 

@@ -3,11 +3,11 @@
 use glam::DVec3;
 use simod_tests::{Motion, Workplace};
 
-/// How far a model of two to three units goes: as from one map's coordinates to another's.
+/// Ways that a model of two to three units goes: as from one map's coordinates to another's.
 const WAYS: [DVec3; 2] = [DVec3::new(5e5, -3e5, 40.0), DVec3::new(-1e7, 4e6, 1e7)];
 
-/// What positions are off by at most, in units: numbers of the size of `WAYS` are rounded to 2e-9, what
-/// samples do beside each other to some 1e-7.
+/// Largest error of positions, in units: numbers of the size of `WAYS` are rounded to 2e-9, motions of
+/// samples relative to each other to some 1e-7.
 const OFF: f64 = 1e-6;
 
 /// A model of doubles, and its samples.

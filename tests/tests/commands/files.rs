@@ -229,7 +229,7 @@ fn pipes_and_devices_are_refused_at_once() {
             let _ = work.run("refine model.simod --sphere 0,0,0,9 --factor 2 --into new.simod");
             assert!(started.elapsed() < Duration::from_secs(40), "{} was waited for", own.display());
             if own.ends_with("binding.bin") {
-                // It is not needed.
+                // The binding is not needed: the run goes on without.
                 assert!(outcome.stderr.contains("is a pipe or a device"), "{}", outcome.stderr);
             }
             if own.ends_with("simod.toml") || own.ends_with("samples.ply") {
@@ -301,7 +301,7 @@ fn one_command_at_a_time_changes_a_folder() {
         together += 1;
         other.refused(second, &["model.simod is being written by another process"]);
         assert_eq!(first.code, Some(0), "{}", first.stderr);
-        // What the first reported is what is there.
+        // The refinements that the commands reported are there.
         let refinements = work.report("info model.simod")["refinements"].as_array().map(Vec::len);
         assert_eq!(refinements, Some(together));
     }
@@ -312,7 +312,7 @@ fn one_command_at_a_time_changes_a_folder() {
     }
 }
 
-/// What somebody put where the program has its temporary files is not written through.
+/// Links that somebody put in the places of the program's temporary files are not written through.
 #[test]
 fn planted_links_are_not_followed() {
     let work = workplace();
@@ -347,7 +347,7 @@ fn planted_links_are_not_followed() {
         }
     }
     work.write("victim", "precious");
-    // Those in the folder itself.
+    // The links in the folder itself.
     for own in ["binding.bin", "samples.ply"] {
         symlink(work.path("victim"), work.path(&format!("model.simod/.simod-{own}.part"))).expect("a link");
     }
@@ -355,7 +355,8 @@ fn planted_links_are_not_followed() {
     assert_eq!(work.read("victim"), b"precious");
 }
 
-/// It says so and goes on without, wherever the damage is: the result is the same.
+/// The program says that a binding is damaged and goes on without, wherever the damage is: the result is the
+/// same.
 #[test]
 fn a_damaged_binding_is_not_used() {
     let work = workplace();
@@ -465,7 +466,7 @@ fn folders_whose_names_are_no_text() {
         command.arg(session).arg("-o").arg(to);
         Outcome::from(command.output().expect("the program starts"))
     };
-    // What is beside the session is found there, and can be written there.
+    // Files beside the session are found there, and can be written there.
     let outcome = of("run", &beside("edit.toml"), &beside("out.ply"));
     assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
     let outcome = of("plugin migrate", &beside("edit.toml"), &beside("new.toml"));
@@ -566,7 +567,7 @@ fn limits_are_told() {
         work.write_session("model.ply", 500, &format!("[[step]]\ndeform = \"skinning\"\n{joints}"));
         let started = Instant::now();
         work.refuses("run edit.toml", &["20000 joints"]);
-        // It took minutes; a busy machine takes some seconds.
+        // A former version took minutes; a busy machine takes some seconds.
         assert!(started.elapsed() < Duration::from_secs(30), "{:?}", started.elapsed());
     }
 }

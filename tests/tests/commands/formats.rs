@@ -201,7 +201,7 @@ fn points_become_what_ply_becomes() {
         let info = work.report(&format!("info {model} {options}"));
         assert_eq!(info["vertices"].as_u64(), Some(count as u64));
     }
-    // What was said of the columns is kept with the samples.
+    // The names of columns are kept with the samples.
     let described = String::from_utf8(work.read("c.txt.simod/simod.toml")).expect("text");
     assert!(described.contains("columns = \"nx,ny,nz,_,x,y,z\""), "{described}");
     work.refuses("sample c.txt -o again.simod --columns x,y", &["no column is z"]);

@@ -260,7 +260,7 @@ fn a_gltf_becomes_a_glb_and_keeps_its_files() {
     work.refuses(&format!("{line} a.bin"), &["a.bin"]);
     work.refuses(&format!("{line} a.bin --force"), &["a.bin"]);
     work.simod("sample out.glb -o b.simod --samples 500");
-    // What is written is what the same file as GLB becomes, but for the text.
+    // The output is that of the same file as GLB, but for the text.
     work.write("whole.glb", &glb);
     work.simod("sample whole.glb -o whole.simod --samples 500");
     work.move_samples("whole.simod", moved);

@@ -1,5 +1,5 @@
-//! What is known of the samples at rest is kept beside them by the first reconstruction, and changes no byte
-//! of any other.
+//! Geometry of the samples at rest, which the first reconstruction keeps beside them, and which changes no
+//! byte of any other.
 
 use glam::DVec3;
 use simod_tests::{MANY, Workplace};
@@ -16,7 +16,7 @@ fn deformed(options: &str) -> Workplace {
     work
 }
 
-/// What comes of each method.
+/// Outputs of both methods.
 fn methods(work: &Workplace) -> [Vec<u8>; 2] {
     ["blended-jets", "projected-barycentric"].map(|method| {
         work.simod(&format!("{RECONSTRUCT} --method {method}"));
@@ -111,7 +111,7 @@ fn damaged_it_is_made_anew() {
         );
         assert!(work.read("out.ply") == expected && work.read(REST) == good);
     }
-    // It is no output of its own.
+    // The kept file cannot be given as an output.
     work.refuses(&format!("{RECONSTRUCT} --force").replace("out.ply", REST), &["rest.bin"]);
     work.refuses(&format!("generate -o {REST} --vertices 2000 --force"), &["rest.bin"]);
 }
@@ -130,7 +130,7 @@ fn what_cannot_be_kept_is_not() {
     work.simod(line);
     assert!(!work.path(REST).exists());
     drop(lock);
-    // It is a link, a pipe or a folder.
+    // In its place there is a link, a pipe or a folder.
     work.write("victim", "precious");
     std::os::unix::fs::symlink(work.path("victim"), work.path(REST)).expect("a link");
     work.simod(line);

@@ -11,7 +11,7 @@ use simod_tests::Workplace;
 
 const SCALE: f64 = 0.001;
 
-/// Where the cloud's first corner is: in UTM coordinates.
+/// The cloud's first corner, in UTM coordinates.
 const CORNER: DVec3 = DVec3::new(412_345.678, 5_318_765.432, 512.3);
 
 /// A file of hills, 100 m wide, of a version and a point format; `name` says whether it is compressed.
@@ -93,7 +93,7 @@ fn clouds_bend_and_keep_all_else() {
         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
         for (old, new) in before.0.into_iter().zip(after.0) {
             let [was, is] = [&old, &new].map(|p| DVec3::new(p.x, p.y, p.z));
-            // What the samples make of it is not exact where the bend begins.
+            // The map of the samples is not exact where the bend begins.
             let off = is.distance(bent(was));
             assert!(off < 0.05, "{name} {format:?}: {was} goes to {is}");
             if was.x < CORNER.x + 40.0 {
@@ -119,7 +119,7 @@ fn clouds_bend_and_keep_all_else() {
     }
 }
 
-/// What writing coarse steps makes is told, but that it takes more samples is not: these would not help.
+/// Errors that come of writing coarse steps are told, and no more samples are advised: these would not help.
 #[test]
 fn coarse_steps_do_not_ask_for_samples() {
     let work = Workplace::new();

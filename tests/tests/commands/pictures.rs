@@ -81,7 +81,7 @@ fn own_colours_attributes_and_clay() {
         let [[r, g, _], [s, h, _]] = [LEFT, RIGHT].map(|at| mean(&work, "classes.png", at));
         assert!(g / r > 0.6 && h / s < 0.6, "{of}: {r} {g}, {s} {h}");
         work.refuses(&format!("render {of} -o no.png --color temperature"), &["temperature"]);
-        // What colours mean is also in the report.
+        // The meaning of colours is also in the report.
         let told = |option: &str| {
             let report = work.report(&format!("render {of} -o told.png --size 20x20 {option}"));
             (report["color"].clone(), report["color_range"].clone())

@@ -82,7 +82,7 @@ fn quads(work: &Workplace, name: &str) {
     work.write(name, [header.into_bytes(), vertices, faces].concat());
 }
 
-/// What is in the plan's folder.
+/// Content of the plan's file.
 fn plan(work: &Workplace) -> toml::Table {
     String::from_utf8(work.read("plan/plan.toml")).expect("UTF-8").parse().expect("TOML")
 }
@@ -252,7 +252,7 @@ fn by_arrays(options: &str, expected: &[&str]) {
     let work = jar("made.ply", options, STEPS);
     work.simod("run edit.toml -o run.ply");
     work.simod("plan edit.toml -o plan --units 3 --emit slurm");
-    // It does what it is given at once, an array from its end, and notes what that depends on.
+    // This stand-in runs its script at once, an array from its end, and notes what the script depends on.
     work.write(
         "bin/sbatch",
         r#"#!/bin/sh
@@ -449,7 +449,7 @@ fn what_is_wrong_is_told() {
     }
 }
 
-/// What follows turns by gradients that the steps know, and these reach the units.
+/// Vectors that follow turn by gradients that the steps know, and these reach the units.
 #[test]
 fn splats_turn_in_units_as_in_a_run() {
     let work = Workplace::new();

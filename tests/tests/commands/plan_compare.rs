@@ -93,7 +93,7 @@ fn a_comparison_by_units_is_that_of_one_process() {
         let left = ["sampled-0.json", "sampled-0.simod", "sampled-1.json", "sampled-1.simod"];
         assert_eq!(names(&work, "plan"), [&["finished.toml", "plan.toml"][..], &left].concat());
     }
-    // What a killed process has left goes as the last unit is done again.
+    // Remains of a killed process go as the last unit is done again.
     let tidied = names(&work, "plan");
     work.write("plan/.simod-sampled-0.simod.part", "");
     work.write("plan/method-2/compare.json", "");

@@ -240,7 +240,7 @@ fn what_is_wrong_is_told() {
     work.refuses(&finishing, &["part-0.bin", "t-1.las", "is not there as a whole"]);
     assert_eq!(work.report(&first)["was_done"], false);
     assert!(work.read(tile) == good && !work.path("out").exists());
-    // What is not of the plan is not brought along, and what is there is not lost.
+    // Files that are not of the plan are not brought along, and those that are there are not lost.
     work.write("plan/output.tiles/notes.txt", "precious");
     work.refuses(&finishing, &["notes.txt"]);
     fs::remove_file(work.path("plan/output.tiles/notes.txt")).expect("notes");

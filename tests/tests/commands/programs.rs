@@ -37,7 +37,7 @@ struct Records {
     header: String,
     vertices: Vec<Vec<u8>>,
     rest: Vec<u8>,
-    /// Where each property is in a record, its type and its name.
+    /// Properties: for each its offset in a record, its type and its name.
     properties: Vec<(usize, String, String)>,
 }
 
@@ -300,7 +300,7 @@ fn samples_that_come_back_coarser_stay_where_they_did_not_move() {
     };
     assert!(same("double", &six).contains("1.0e1 apart"));
     assert_eq!(same("double", &|p| row(p, 9)), "");
-    // What moves does so, along its own axis alone.
+    // Vertices move along the given axis alone.
     let outcome = write("float", &|p| single(p + DVec3::new(0.0, 0.0, 7.25)));
     assert!(outcome.stderr.contains("more samples do not help"), "{}", outcome.stderr);
     let found = work.ply("out.ply").positions();

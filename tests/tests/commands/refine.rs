@@ -7,7 +7,7 @@ use std::time::Duration;
 use glam::DVec3;
 use simod_tests::{Outcome, Ply, Workplace, skip};
 
-/// Where the tests refine, on the amphora's belly.
+/// Place that the tests refine, on the amphora's belly.
 const PLACE: DVec3 = DVec3::new(0.41, 1.0, 0.41);
 const SPHERE: &str = "--sphere 0.41,1,0.41,0.25";
 
@@ -191,7 +191,7 @@ fn a_session_refines_between_its_steps() {
     assert!(samples > 4200);
     work.simod("reconstruct refined.simod --deformed moved.ply -o steps.ply");
     assert!(work.read("run.ply") == work.read("steps.ply"));
-    // What it does not meet is an error with its place.
+    // A selection that meets nothing is an error with its place.
     work.write_session(
         "model.ply",
         4000,
@@ -336,7 +336,7 @@ fn auto_refines_where_the_deformation_needs_it() {
     let outcome = work.simod("info model.simod");
     assert!(outcome.stdout.contains("wherever it was needed"), "{}", outcome.stdout);
 
-    // What a rigid motion, or none, needs.
+    // A rigid motion, or none, needs no more samples.
     for map in [|p: DVec3| p, |p: DVec3| DVec3::new(-p.z, p.y + 1.0, p.x)] {
         work.move_samples("model.simod", map);
         let before = work.read("model.simod/samples.ply");
@@ -383,7 +383,7 @@ fn a_session_refines_where_its_steps_need_it() {
     work.simod("generate -o model.ply --vertices 120000");
     let twist = "[[step]]\ndeform = \"warp\"\n";
     let auto = "[[step]]\nrefine = { auto = true, error = 1e-6, samples = 1500 }\n";
-    // What is made of the samples that the first twist needs serves the second one.
+    // The refinement that the first twist needs serves the second one.
     let run = |steps: &str| {
         work.write_session("model.ply", 4000, steps);
         let report = work.report("run edit.toml --measure");

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use simod_tests::{Outcome, Workplace, skip};
 
-/// How much is done.
+/// Number of rounds: `count`, times the number in SIMOD_CAMPAIGN.
 fn times(count: usize) -> usize {
     let more = std::env::var("SIMOD_CAMPAIGN").ok().and_then(|n| n.parse::<usize>().ok());
     count * more.unwrap_or(1)
@@ -96,7 +96,7 @@ fn signals_end_the_program_and_leave_nothing() {
             let outcome = end(child);
             match outcome.code {
                 Some(0) => remove(&work, target),
-                // It had not begun.
+                // The program had not begun.
                 None => {}
                 code => {
                     ended += 1;
@@ -127,8 +127,8 @@ fn a_hangup_that_is_ignored_is() {
     assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
 }
 
-/// Where nothing looks whether it shall stop, as in a library that is being loaded, the first Ctrl-C ends it
-/// all the same.
+/// The first Ctrl-C ends the program in any stage, also where nothing looks whether it shall stop, as in a
+/// library that is being loaded.
 #[test]
 fn one_interrupt_is_enough_in_any_stage() {
     let work = workplace();
@@ -201,7 +201,7 @@ fn killed_at_any_moment() {
     println!("{killed} killed, {left} of them left something for the next run");
 }
 
-/// Where no file may grow beyond some size: an error that names the target, and nothing of it.
+/// A limit on the size of files gives an error that names the target, and nothing is left of the output.
 #[test]
 fn a_full_disk_leaves_nothing() {
     let work = workplace();

@@ -234,7 +234,7 @@ impl Drop for Disk {
     }
 }
 
-/// What is there already needs no room, whether it is gone on with or replaced.
+/// A part of the output that is there already needs no room, whether it is gone on with or replaced.
 #[test]
 fn a_disk_with_room_for_one() {
     let work = sampled();

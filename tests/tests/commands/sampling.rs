@@ -10,7 +10,7 @@ use simod_tests::{OPTIMISED, Outcome, Ply, Workplace, skip};
 /// The parts of a sampled model, where no parts of the model touch.
 const FILES: [&str; 3] = ["cells.bin", "samples.ply", "simod.toml"];
 
-/// Those of the amphora, whose handles stand in its body.
+/// Files of the sampled amphora, whose handles stand in its body.
 const WITH_SHEETS: [&str; 4] = ["cells.bin", "samples.ply", "sheets.bin", "simod.toml"];
 
 fn contents(work: &Workplace, folder: &str) -> Vec<Vec<u8>> {
@@ -367,7 +367,7 @@ fn an_interrupted_sampling_leaves_nothing() {
         assert!(kill.expect("kill runs").success());
         let outcome = Outcome::from(child.wait_with_output().expect("an end"));
         match outcome.code {
-            // It was done before.
+            // The command was done before the signal came.
             Some(0) => break,
             // The signal came before the program was ready for it.
             None => {}
@@ -402,7 +402,7 @@ fn a_killed_sampling_leaves_the_former_one_as_it_was() {
             work.names().into_iter().filter(|name| !name.starts_with(".simod-")).collect();
         assert_eq!(shown, ["model.ply", "model.simod"]);
     }
-    // What was left goes with the next run.
+    // Remains of the killed run go with the next one.
     work.simod(SAMPLE);
     assert_eq!(work.names(), ["model.ply", "model.simod"]);
 }
@@ -432,7 +432,7 @@ fn a_model_that_changes_while_it_is_sampled() {
                 }
                 let outcome = Outcome::from(child.wait_with_output().expect("an end"));
                 if outcome.code == Some(0) {
-                    // It had read what it needed, or only what is new.
+                    // The command had read all that it needed before, or it read nothing but the new bytes.
                     work.simod("info model.simod");
                     for (name, bytes) in FILES.iter().zip(&before) {
                         work.write(&format!("model.simod/{name}"), bytes);
@@ -462,7 +462,7 @@ fn an_error_that_takes_too_many_samples_is_refused() {
     assert_eq!(work.names(), ["model.ply"]);
 }
 
-/// What is known of the samples is found out by the same threads that then ask for it.
+/// Geometry of the samples at rest is found by the same threads that then ask for it.
 #[test]
 fn many_threads_do_not_wait_for_each_other() {
     let work = Workplace::new();

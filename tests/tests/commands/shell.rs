@@ -1,4 +1,4 @@
-//! What the program makes for shells and for `man` speaks of all that it takes.
+//! Completions for shells and pages for `man`, which speak of all options and commands.
 
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -9,7 +9,7 @@ use simod_tests::{Workplace, built, skip, workspace};
 fn commands(work: &Workplace) -> Vec<String> {
     let help = work.simod("--help").stdout;
     let list = help.split("Commands:\n").nth(1).and_then(|rest| rest.split("\n\n").next());
-    // What they do may go on in further lines, which are set in.
+    // Descriptions of commands may go on in further lines, which are set in.
     let first = list.expect("a list").lines().filter_map(|line| line.strip_prefix("  "));
     let names = first.filter_map(|line| line.split(' ').next().filter(|name| !name.is_empty()));
     names.filter(|name| *name != "help").map(str::to_owned).collect()

@@ -56,7 +56,7 @@ impl Table {
         half * half.transpose()
     }
 
-    /// What depends on the direction, of a channel.
+    /// The part of a channel's colour that depends on the direction.
     fn colour(&self, channel: usize, d: DVec3, row: usize) -> f64 {
         let [a, b, c] =
             [0, 1, 2].map(|i| self.rows[row][self.column(&format!("f_rest_{}", 3 * channel + i))]);
@@ -141,7 +141,7 @@ fn moved(file: &[u8], to: impl FnMut(DVec3) -> DVec3) -> Workplace {
 
 const RECONSTRUCT: &str = "reconstruct model.simod --deformed deformed.ply -o out.ply";
 
-/// How much covariances and colours are off, at worst, from those of a linear map.
+/// Largest differences of covariances and of colours from those of a linear map.
 fn worst(rest: &Table, found: &Table, map: DMat3, rotation: DMat3) -> [f64; 2] {
     let size = |m: DMat3| m.to_cols_array().map(|x| x * x).iter().sum::<f64>().sqrt();
     let mut worst = [0.0f64; 2];
@@ -507,7 +507,7 @@ fn floaters_take_no_samples_and_are_deformed_all_the_same() {
     assert_eq!(report["transparent"], 500);
     let [low, high] = work.ply("model.simod/samples.ply").bounds();
     assert!(high.z - low.z < 0.45, "{low} {high}");
-    // What is sampled is what there is without them.
+    // The samples are those of the model without these splats.
     let mut seen = table.clone();
     seen.rows.retain(|row| row[opacity] > -2.2);
     assert_eq!(seen.rows.len(), count);
@@ -573,7 +573,7 @@ fn splats_that_are_large_or_far_need_more_opacity() {
     assert_eq!(sampled(-1.5, "--min-opacity 0"), None);
     let [low, high] = work.ply("model.simod/samples.ply").bounds();
     assert!((high - low).max_element() > 15.0, "{low} {high}");
-    // What covers half of what is behind it is seen, and what is fainter everywhere is not.
+    // A splat that covers half of what is behind it is seen, and one that is fainter everywhere is not.
     assert_eq!(sampled(0.01, ""), None);
     assert!(sampled(-3.0, "") == Some(300));
 

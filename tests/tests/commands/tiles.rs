@@ -8,13 +8,13 @@ use las::point::Format;
 use las::{Builder, Point, Transform, Vector, Vlr, Writer};
 use simod_tests::Workplace;
 
-/// Where the cloud's first corner is: in UTM coordinates.
+/// The cloud's first corner, in UTM coordinates.
 const CORNER: DVec3 = DVec3::new(412_345.678, 5_318_765.432, 512.3);
 
 /// Width of a strip of the hills, in metres.
 const WIDTH: f64 = 50.0;
 
-/// What a tile is said to be of.
+/// Reference system that the tiles name.
 const SYSTEM: &str = "ETRS89 / UTM zone 32N";
 
 /// The points of one of the strips of hills, which lie side by side.
@@ -76,7 +76,8 @@ fn bent(p: DVec3) -> DVec3 {
     p + DVec3::new(0.0, 0.05 * u, 0.002 * u * u)
 }
 
-/// What a single file becomes by the samples in `model.simod` and `deformed.ply`: as if these were its own.
+/// The file that a single tile becomes by the samples in `model.simod` and `deformed.ply`, as if these were
+/// its own.
 fn alone(work: &Workplace, tile: &str) -> Vec<u8> {
     work.simod(&format!("sample {tile} -o alone.simod --samples 50"));
     let table = |text: Vec<u8>| -> toml::Table {
@@ -230,7 +231,7 @@ fn formats_are_mixed_in_a_session() {
         }
         std::fs::remove_dir_all(work.path("planned")).expect("a folder");
     }
-    // What cannot be done says so.
+    // Commands that cannot take tiles say so.
     work.refuses("convert tiles/* joined.ply", &["several tiles, which are not joined"]);
 }
 
@@ -325,7 +326,7 @@ fn bad_tiles_are_named_and_nothing_is_written() {
     }
     work.move_samples("model.simod", bent);
     let line = "reconstruct model.simod --deformed deformed.ply -o out";
-    // What is there stays, unless it is former tiles.
+    // Files in the folder stay, unless they are former tiles.
     work.write("out/mine.txt", "precious");
     work.refuses(line, &["out holds mine.txt"]);
     work.write("file", "precious");
@@ -412,11 +413,11 @@ fn tiles_are_converted_each_by_itself() {
     work.simod(line);
     work.write("out/notes.txt", "precious");
     work.refuses(line, &["out holds notes.txt"]);
-    // What is lost is listed once, and has to be allowed.
+    // Losses are listed once, and have to be allowed.
     work.refuses("convert tiles/*.laz lost --to csv", &["lost/t-1.csv would lose", "reference system"]);
     let report = work.report("convert tiles/*.laz lost --to csv --lossy");
     assert_eq!(report["lost"].as_array().map(Vec::len), Some(1), "{report}");
-    // What is wrong is told, and nothing is left.
+    // Wrong options are told, and nothing is left.
     work.refuses("convert tiles/*.laz folder --to ../x", &["../x is no format"]);
     work.refuses("convert tiles/t-1.laz one.las --to las", &["--to las is for tiles"]);
     work.refuses("convert tiles/*.laz joined.las", &["several tiles, which are not joined"]);
@@ -474,7 +475,7 @@ fn methods_are_compared_on_tiles() {
         assert!(a == b, "{picture}");
     }
     assert_eq!(names(&work, "of-tiles/bend"), ["t-1.las", "t-2.las", "t-3.las"]);
-    // What another program made is a folder of tiles, too; the page is replaced by another one.
+    // The result of another program is a folder of tiles, too; the page is replaced by another one.
     let made = "[[method]]\nname = \"made\"\nmodel = \"of-tiles/bend\"\n";
     work.write("made.toml", head("tiles/*.las") + made + methods);
     for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! What is said of the transfer's error holds: estimates beside the truth, the exact map at every vertex, and
+//! Statements on the transfer's error hold: estimates beside the truth, the exact map at every vertex, and
 //! tolerances.
 
 use std::f64::consts::PI;
@@ -18,7 +18,7 @@ fn bump(p: DVec3) -> DVec3 {
     p + DVec3::new(0.06, 0.08, 0.1) * (-p.distance_squared(at) / 0.04).exp()
 }
 
-/// What a diagnostics file expects of each vertex: in the model's unit, and as a fraction.
+/// Expected error of each vertex in a diagnostics file: in the model's unit, and as a fraction.
 fn expected(work: &Workplace, name: &str) -> Vec<[f64; 2]> {
     let bytes = work.read(name);
     let end = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
@@ -193,7 +193,7 @@ fn a_run_is_refined_until_its_tolerance_is_met() {
     let differs =
         simod_tests::Ply::parse(bytes).positions().iter().zip(&again).any(|(a, b)| a.distance(*b) > 1e-5);
     assert!(!differs);
-    // What floats cannot tell.
+    // A tolerance that is finer than floats.
     std::fs::remove_file(work.path("edited.ply")).expect("a file");
     work.refuses("run edit.toml --tolerance 1e-9", &["1.0e-9", "cannot be met", "float"]);
     for bad in ["0", "-1e-5", "nan", "1e-5m"] {

@@ -19,7 +19,7 @@ fn check_moved(work: &Workplace, model: &str, samples: u64) {
     assert!(worst < 1e-5, "{model}: positions are off by {worst:.1e} of the diagonal");
     let normals = before.normals();
     if !normals.is_empty() {
-        // They keep their length, which is not 1 in all of these files. The turn is known as well as the
+        // Normals keep their length, which is not 1 in all of these files. The turn is known as well as the
         // rounding of positions in floats lets it, over the spacing of samples.
         let worst = self::worst(&normals, &after.normals(), |n| motion.turn * n);
         assert!(worst < 1e-3, "{model}: normals are off by {worst:.1e}");

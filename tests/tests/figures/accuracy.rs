@@ -1,4 +1,4 @@
-//! How near the deformed model is to the exact deformation of each of its vertices.
+//! Distance of the deformed model from the exact deformation of each of its vertices.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

@@ -1,4 +1,4 @@
-//! What is promised in figures: errors of the transfer, and memory, of the real binary on large models.
+//! Figures that are promised: errors of the transfer, and memory, of the real binary on large models.
 
 mod accuracy;
 mod exactness;

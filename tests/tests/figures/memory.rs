@@ -96,7 +96,7 @@ fn of_16_million_vertices_is_below_200_megabytes() {
             two / MEGABYTE,
             sixteen / MEGABYTE
         );
-        // What is held is held: a peak of nothing would be a broken measurement.
+        // Some memory is always held: a peak of nothing would be a broken measurement.
         assert!(sixteen > 5 * MEGABYTE, "{phase} takes {sixteen} bytes");
     }
 }

@@ -1,4 +1,4 @@
-//! What the transfer from samples to vertices holds whatever the model and the deformation are.
+//! Properties of the transfer from samples to vertices that hold whatever the model and the deformation are.
 
 use glam::DVec3;
 use simod_tests::{Ply, Workplace};

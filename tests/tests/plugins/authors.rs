@@ -1,5 +1,5 @@
-//! What the host has for third parties' plugins, through both doors, in this process and in others: samples
-//! and surfaces to be looked up, the time, and older sessions that keep working.
+//! Services of the host for third parties' plugins, through both doors, in this process and in others:
+//! samples and surfaces to be looked up, the time, and older sessions that keep working.
 #![cfg(unix)]
 
 use std::env::consts::DLL_SUFFIX;
@@ -105,7 +105,7 @@ fn samples_and_surfaces_are_looked_up_in_any_process() {
     // Where there are no triangles, that is said.
     work.simod("sample model.ply -o points.simod --samples 500 --skip triangles");
     work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", now("mode = \"ray\"")));
-    // What it asks for besides is kept, whatever becomes of the step.
+    // The attributes that the plugin asks for besides are kept, whatever becomes of the step.
     assert_eq!(work.run("deform points.simod --session edit.toml -o out.ply").code, Some(1));
     for place in PLACES {
         let line = format!("deform points.simod --session edit.toml -o out.ply --isolate {place}");
@@ -173,7 +173,7 @@ fn colours_and_other_attributes_are_those_of_the_model() {
         let stages = report["phases"].as_array().expect("stages");
         stages.iter().filter(|s| s["name"] == "reading the attributes").count()
     };
-    // Who asks for none pays for none.
+    // A plugin that asks for no attributes causes no reading of them.
     work.write("edit.toml", "[[step]]\ndeform = \"warp\"\nparams = { operation = \"bend\", angle = 30 }");
     assert_eq!(stages("deform model.simod --session edit.toml -o out.ply"), 0);
     assert_eq!(kept(), None);
@@ -194,7 +194,8 @@ fn colours_and_other_attributes_are_those_of_the_model() {
     let whole = kept().expect("a file");
     std::fs::rename(work.path("painted.ply"), work.path("moved.ply")).expect("a file");
     assert_eq!(deformed(&work, "", &paint, ""), found);
-    // Where neither is there, that is said; the model may be elsewhere. Damage is mended.
+    // Where both the kept attributes and the model are missing, that is told; the model may be elsewhere.
+    // Damage is mended.
     for damage in 0..8 {
         let mut bytes = whole.clone();
         let place = damage * (bytes.len() - 1) / 7;
@@ -306,14 +307,14 @@ fn other_models_come_in_the_first_one_s_coordinates() {
         let found = deformed(&work, "", &to(name, 0.0), "");
         assert!(found.iter().zip(&others).all(|(p, q)| p.distance(*q) < 1e-5 * diagonal), "{name}");
     }
-    // What is taken is told; normals are of unit length, triangles within.
+    // The number of points taken is told; normals are of unit length, triangles within.
     work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", to("model.ply", 0.0)));
     let line = "deform model.simod --session edit.toml -o out.ply";
     let report = work.report(line);
     let note = report["notes"][0].as_str().expect("a note");
     assert!(note.starts_with("surveyor: model.ply: ") && note.ends_with("of 5000, a surface"), "{note}");
 
-    // What is wrong is told with the parameter's line and the file; nothing is written.
+    // An error is told with the parameter's line and the file; nothing is written.
     let wrong = |file: &str, what: &str| {
         let step = to(file, 0.0).replace("params", "\nparams");
         work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{step}\n"));
@@ -376,7 +377,7 @@ fn older_sessions_keep_working_and_are_told_what_changed() {
             assert!(warnings(&outcome).is_empty(), "{}", outcome.stdout);
             assert_eq!(work.ply("out.ply").positions(), expected);
 
-            // What is wrong is told with the plugin, the step, and the parameter's line.
+            // An error is told with the plugin, the step, and the parameter's line.
             work.write("bad.toml", format!("[[step]]\ndeform = \"{id}\"\n\nparams.distance = -1\n"));
             let line = format!("deform model.simod --session bad.toml -o out.ply --isolate {place}");
             work.refuses(&line, &["bad.toml, line 4", &format!("plugin {id}"), "`reach` was never below 0"]);

@@ -167,7 +167,7 @@ fn a_plugin_that_misbehaves() {
         assert!(outcome.stdout.contains("all is well"), "{}", outcome.stdout);
         assert!(outcome.lines("warning: ").is_empty(), "{}", outcome.stderr);
     }
-    // It shifts by 1 along x, in a unit in which the diagonal is between 1 and 2.
+    // The plugin shifts by 1 along x, in a unit in which the diagonal is between 1 and 2.
     let before = work.ply("model.ply");
     let unit = before.diagonal().log2().floor().exp2();
     let shifts = before.positions().into_iter().zip(work.ply("edited.ply").positions()).map(|(p, q)| q - p);

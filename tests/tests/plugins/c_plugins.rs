@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde_json::Value;
 use simod_tests::{Workplace, has_compiler, skip};
 
-/// What `simod plugin check` finds about a library, rule by rule: with this verdict.
+/// Rules and findings of a report by `simod plugin check` that have this verdict.
 fn rules<'a>(report: &'a Value, verdict: &str) -> Vec<(&'a str, &'a str)> {
     let rules = report["rules"].as_array().unwrap().iter().filter(|r| r["verdict"] == verdict);
     rules.map(|r| (r["rule"].as_str().unwrap(), r["found"].as_str().unwrap())).collect()
@@ -122,7 +122,7 @@ fn wrong_tables_are_refused() {
     }
 }
 
-/// What goes wrong in a call is an error in the plugin's words, or in ours where it has none.
+/// A call that fails gives an error in the plugin's words, or in ours where it has none.
 #[test]
 fn failing_calls_are_errors() {
     let wrongs = [

@@ -27,7 +27,7 @@ fn build(work: &Workplace, does: &str) -> std::path::PathBuf {
     work.build_c("tests/c/hostile.c", "hostile", &[&format!("-DDOES={does}")])
 }
 
-/// How many processes run in this folder.
+/// Number of processes that run in this folder.
 #[cfg(target_os = "linux")]
 fn processes(work: &Workplace) -> usize {
     let folder = work.path("").canonicalize().unwrap();
@@ -70,7 +70,7 @@ fn a_kill_while_a_library_loads_leaves_nobody_behind() {
     }
 }
 
-/// What a plugin starts ends with the plugin's process, however the program ends.
+/// Processes that a plugin starts end with the plugin's own, however the program ends.
 #[test]
 #[cfg(target_os = "linux")]
 fn what_a_plugin_starts_ends_with_it() {
@@ -86,7 +86,7 @@ fn what_a_plugin_starts_ends_with_it() {
         child.wait_with_output().unwrap();
         wait_until(&work, signal, |n| n == 0);
     }
-    // It ends well: then what it started is no part of it any more either.
+    // The library is still there.
     let work = work.path("plugins").join(format!("hostile{DLL_SUFFIX}"));
     assert!(work.is_file());
 }
@@ -165,7 +165,7 @@ fn the_program_s_surroundings_are_kept() {
     }
 }
 
-/// What isolation is good for, and what not, is said where it is asked about.
+/// The help on isolation says what it is good for, and what not.
 #[test]
 fn isolation_is_said_to_be_no_protection_from_malice() {
     let work = Workplace::new();
@@ -274,8 +274,8 @@ fn an_open_folder_is_told() {
     std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
 }
 
-/// What a plugin says of itself, and to the user, does nothing to a terminal: no escape sequences, no lines
-/// of its own.
+/// Texts of a plugin, on itself and to the user, do nothing to a terminal: no escape sequences, no lines of
+/// their own.
 #[test]
 fn nothing_raw_reaches_a_terminal() {
     let work = sampled();
@@ -384,7 +384,7 @@ fn tools_that_do_something_by_themselves_say_so() {
     assert!(hint.contains("in full"), "{hint}");
 }
 
-/// What a user can choose is there as data, and in groups as text.
+/// The parameters that a user can set are there as data, and in groups as text.
 #[test]
 fn parameters_are_told_as_data() {
     let work = Workplace::new().with_plugins("plugins");

@@ -29,7 +29,7 @@ const DEFORM: &str = "deform model.simod --session edit.toml -o out.ply";
 #[test]
 fn what_would_end_the_program_ends_the_plugin_alone() {
     let work = sampled();
-    // How, the call that it happens in, and what is said of it.
+    // The kind of misbehaviour, the call that it happens in, and words of the error.
     let bad = [
         ("abort", "in prepare", "signal 6 (abort)"),
         ("segfault", "in deform", "invalid memory access"),
@@ -164,7 +164,7 @@ fn endless(work: &Workplace) -> std::process::Child {
     child
 }
 
-/// How many processes run in this folder.
+/// Number of processes that run in this folder.
 fn processes(work: &Workplace) -> usize {
     let folder = work.path("").canonicalize().expect("a folder");
     let all = std::fs::read_dir("/proc").expect("processes").filter_map(Result::ok);

@@ -22,7 +22,7 @@ fn edit(work: &Workplace) -> Vec<(DVec3, DVec3)> {
     before.into_iter().zip(after).collect()
 }
 
-/// How far the transfer is from the exact map, as a fraction of the diagonal: rms.
+/// Root mean square of the transfer's distance from the exact map, as a fraction of the diagonal.
 fn run(work: &Workplace) -> f64 {
     let report = work.report("run edit.toml --measure");
     report["transfer_error"]["rms"].as_f64().expect("a figure")
@@ -60,7 +60,7 @@ fn a_lattice_that_covers_a_part_leaves_the_rest_alone() {
     assert!(moved.iter().any(|(p, q)| q.z - p.z > 0.01));
 }
 
-/// What the cage does as a whole, the model does: that the file's coordinates are the model's.
+/// A motion of the whole cage moves the model alike, as the file's coordinates are the model's.
 #[test]
 fn a_cage_from_a_file_carries_the_model() {
     let cage = [[-1.0, -0.2, -1.0], [1.0, -0.2, -1.0], [0.0, -0.2, 1.7], [0.0, 6.0, 0.0]];

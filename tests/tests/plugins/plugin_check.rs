@@ -22,7 +22,7 @@ fn check(work: &Workplace, how: &str, options: &str) -> (Outcome, Value) {
     (outcome, report)
 }
 
-/// What was found by a rule.
+/// Finding of a rule.
 fn rule<'a>(report: &'a Value, id: &str) -> &'a Value {
     let rules = report["rules"].as_array().expect("rules");
     rules.iter().find(|r| r["rule"] == id).unwrap_or_else(|| panic!("no {id}: {report}"))
@@ -72,7 +72,7 @@ fn each_wrong_breaks_its_rule() {
     }
 }
 
-/// What is too much to read is told by both rules on the description, and asked of both doors.
+/// Descriptions that are too long to read are told by both rules on the description, through both doors.
 #[test]
 fn descriptions_have_limits() {
     let work = Workplace::new();
@@ -115,7 +115,7 @@ fn ids_are_not_taken_from_the_programs_own_plugins() {
     expect_failure(&outcome, &outcome.json(), "own-id", "the id `warp`");
 }
 
-/// What goes wrong in every deformation breaks every rule that deforms; the others are kept.
+/// A mistake in every deformation breaks every rule that deforms; the others are kept.
 #[test]
 fn what_always_goes_wrong() {
     let work = Workplace::new();
@@ -172,7 +172,7 @@ fn what_does_not_load() {
     assert!(outcome.stderr.contains("did you mean `identity`?"), "{}", outcome.stderr);
 }
 
-/// What comes with the program breaks no rule, however busy the machine is; what could be better is printed.
+/// Plugins that come with the program break no rule, however busy the machine is; warnings are printed.
 #[expect(clippy::print_stdout, reason = "this is a part of tests")]
 fn keeps_every_rule(id: &str) {
     let report = Workplace::new().report(&format!("plugin check {id} --time-limit 600"));

@@ -8,7 +8,7 @@ use std::process::Command;
 use glam::DVec3;
 use simod_tests::{Workplace, built, has_compiler, outside_target, skip, workspace};
 
-/// Where the bulge is, how far it reaches as a fraction of the diagonal, and how strong it is.
+/// Centre of the bulge, its radius as a fraction of the diagonal, and its strength.
 const CENTER: DVec3 = DVec3::new(0.8, 0.0, 0.0);
 const RADIUS: f64 = 0.15;
 const STRENGTH: f64 = 0.5;

@@ -3,7 +3,8 @@
 use glam::DVec3;
 use simod_tests::Workplace;
 
-/// How far vertices lie from a sphere about the origin, root mean square, and their mean distance from it.
+/// Root mean square of the vertices' distances from a sphere about the origin, and the sphere's radius, their
+/// mean distance from the origin.
 fn off(places: &[DVec3]) -> [f64; 2] {
     let mean = places.iter().map(|p| p.length()).sum::<f64>() / places.len() as f64;
     let squares: f64 = places.iter().map(|p| (p.length() - mean).powi(2)).sum();
@@ -42,7 +43,7 @@ fn broad_bumps_go_and_details_stay() {
     let [both, _] = off(&run("both.xyzn", 0.0));
     let [smoothed, size] = off(&run("both.xyzn", 1.0));
     assert!(both > 3.0 * fine && smoothed < both / 2.0, "{both} {smoothed} {fine}");
-    // What the samples cannot tell is still there, and the whole is as large as it was.
+    // Bumps finer than the samples are still there, and the whole is as large as it was.
     assert!(smoothed > 0.8 * fine && (size - 1.0).abs() < 0.01, "{smoothed} {fine} {size}");
     let [sharpened, _] = off(&run("both.xyzn", -1.0));
     assert!(sharpened > 1.5 * both, "{sharpened} {both}");

@@ -60,7 +60,7 @@ fn every_session_can_be_run() {
     }
 }
 
-/// Those of tools that take no handles, with what their pages say has to be made first.
+/// Sessions of tools that take no handles, with the files that their pages say have to be made first.
 #[test]
 fn sessions_without_handles_can_be_run() {
     let (work, sessions) = with_sessions_of("benches/survey/others");
@@ -130,7 +130,7 @@ fn a_bending_length_keeps_the_hybrid_under_its_new_name() {
     let (published, said) = run("mode = \"arap\"");
     assert!(published != expected && said.contains("spokes-and-rims"), "{said}");
     assert!(said.contains("was added, as they mean something else now"), "{said}");
-    // Who says what turns, knows.
+    // A session that names its surroundings gets no advice on them.
     let (spokes, said) = run("mode = \"arap\", surroundings = \"spokes\"");
     assert!(spokes != published && !said.contains("arap"), "{said}");
     // The window writes which version of the plugin's parameters a step has: nothing is told then.

@@ -5,12 +5,12 @@ use simod_plugin_api::Role;
 /// A point in fractions of the model's box.
 pub type Place = [f64; 3];
 
-/// What it does, and where it is.
+/// A region: its role, and whether it holds a point.
 pub type Region = (Role, fn(Place) -> bool);
 
-/// One method with what it is asked to do.
+/// One method with the edit that it is asked to do.
 pub struct Edit {
-    /// What the table calls it.
+    /// Name in the table.
     pub name: &'static str,
     /// The plugin's id.
     pub plugin: &'static str,
@@ -18,7 +18,7 @@ pub struct Edit {
     pub params: &'static [(&'static str, Value)],
     /// Its regions.
     pub regions: &'static [Region],
-    /// What moves from frame to frame.
+    /// Handles that move from frame to frame.
     pub drag: Drag,
     /// A chain of joints, each hanging on the one before.
     pub joints: &'static [Place],
@@ -41,13 +41,13 @@ impl Edit {
 /// A parameter's value.
 #[derive(Clone, Copy)]
 pub enum Value {
-    /// Of a number or a switch.
+    /// Value of a number or a switch.
     Number(f64),
-    /// Of a choice.
+    /// Id of a choice.
     Text(&'static str),
 }
 
-/// What moves from frame to frame.
+/// Handles that move from frame to frame.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Drag {
     /// The handle regions, or nothing where there are none.

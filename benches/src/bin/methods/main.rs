@@ -1,4 +1,4 @@
-//! What each method costs: preparation, and a frame of a drag, through the plugins' own calls on a generated
+//! Costs of each method: preparation, and a frame of a drag, through the plugins' own calls on a generated
 //! model.
 //!
 //! Each row is a process of its own, whose memory is looked at meanwhile.

@@ -69,7 +69,7 @@ impl HostCalls for Listener {
 pub struct Scene<'m> {
     sampled: &'m SampledModel,
     bounds: Bounds,
-    /// Where each sample's neighbours begin.
+    /// Index of each sample's first neighbour, and at last the number of all neighbours.
     starts: Vec<u32>,
 }
 
@@ -157,7 +157,7 @@ impl<'m> Scene<'m> {
             let transforms = vec![self.turn(frame, self.carry(DVec3::splat(0.5))); handles];
             let motions = self.motions(edit.drag, frame, &placed);
             let radius = if let Drag::Brush(part) = edit.drag { part * self.bounds.diagonal() } else { 1.0 };
-            // Those before are known by their keys.
+            // Strokes of earlier frames are known by their keys.
             let dabs: Vec<[[f64; 3]; 1]> = (0..=frame).map(|i| [self.dab(i)]).collect();
             let strokes: Vec<Stroke<'_>> = (0..)
                 .zip(&dabs)
@@ -229,7 +229,7 @@ impl<'m> Scene<'m> {
         placed.iter().enumerate().map(motion).collect()
     }
 
-    /// Where a frame's dab is: on the model's front, a hundredth of the diagonal from the one before.
+    /// Place of a frame's dab: on the model's front, a hundredth of the diagonal from the one before.
     fn dab(&self, frame: u32) -> [f64; 3] {
         let p = self.carry(DVec3::new(0.5, 0.3 + 0.01 * f64::from(frame % 40), 1.0));
         let nearest = self.sampled.samples.nearest(p.as_vec3());

@@ -1,4 +1,4 @@
-//! What becomes of the model's details: its edges and the angles between its triangles, beside the model
+//! Changes of the model's details: of its edges and the angles between its triangles, beside the model
 //! deformed exactly.
 
 use glam::DVec3;
@@ -125,7 +125,7 @@ impl Edge {
     }
 }
 
-/// What is said of many deviations.
+/// Statistics of many deviations.
 struct Spread {
     rms: f64,
     p999: f64,

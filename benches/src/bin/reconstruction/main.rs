@@ -1,5 +1,4 @@
-//! How exact and how fast the reconstruction is, beside other ways to carry the deformation of P_S over to
-//! P_L.
+//! Errors and speed of the reconstruction, beside other ways to carry the deformation of P_S over to P_L.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -61,7 +60,7 @@ struct Arguments {
     folder: PathBuf,
 }
 
-/// What to measure.
+/// Section of the figures that is measured.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Section {
     /// The error of smooth maps, and processor time

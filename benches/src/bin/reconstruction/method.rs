@@ -22,7 +22,7 @@ impl Method {
         Self::SIMOD.into_iter().chain(Peer::ALL.map(Self::Peer))
     }
 
-    /// What a table calls it.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Simod(reconstruction::Method::ProjectedBarycentric) => "SIMOD, projected-barycentric",
@@ -31,7 +31,7 @@ impl Method {
         }
     }
 
-    /// Whether it needs triangles between the samples.
+    /// Whether the method needs triangles between the samples.
     pub fn needs_triangles(self) -> bool {
         matches!(self, Self::Peer(peer) if peer.needs_triangles())
     }

@@ -21,9 +21,9 @@ use crate::method::Method;
 
 /// Processor seconds of a transfer.
 pub struct Cost {
-    /// What is done once, before the first vertex.
+    /// Seconds of the work that is done once, before the first vertex.
     pub preparation: f64,
-    /// All vertices.
+    /// Seconds for all vertices.
     pub transfer: f64,
 }
 
@@ -129,7 +129,7 @@ impl Scene {
         positions_of(self.result()?.as_ref())
     }
 
-    /// What was written last.
+    /// The model that was written last.
     pub fn result(&self) -> Result<Box<dyn Model>> {
         Ok(simod_model::open(&self.output())?)
     }

@@ -33,7 +33,7 @@ const COLUMNS: [&str; 11] = [
 /// Runs of consecutive vertices for which inverse distances are measured, spread over the model.
 const RUNS: u64 = 16;
 
-/// What one round took.
+/// Figures of one round: seconds by the clock, of the processor and of a copy; peak of memory.
 struct Round {
     wall: f64,
     cpu: f64,
@@ -107,7 +107,7 @@ impl Subject {
         let output = self.folder.join("output.ply");
         let mut command = Command::new(simod);
         command.arg("reconstruct").arg(self.folder.join("samples.simod")).arg("-o").arg(&output);
-        // It syncs what it writes.
+        // The program syncs its output.
         let ran = process::run(
             command.arg("--deformed").arg(self.folder.join("deformed.ply")).arg("--json"),
             None,

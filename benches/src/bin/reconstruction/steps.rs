@@ -22,19 +22,19 @@ const METHODS: [Method; 4] = [
 const WIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// Radius of a stroke, in the same.
 const STROKE: f64 = 2.0;
-/// All displacements, as a fraction of the diagonal.
+/// Length of all displacements, as a fraction of the diagonal.
 const HEIGHT: f64 = 0.05;
-/// By which a part of the model is turned, in degrees.
+/// Angle by which a part of the model is turned, in degrees.
 const TURN: f64 = 10.0;
 
-/// What happens to the model.
+/// Change of the model that has a step.
 #[derive(Clone, Copy)]
 enum Change {
     /// The displacement grows linearly across a plane, over so many spacings.
     Ramp(f64),
-    /// It is 1 in the middle of a ball, and falls to 0 at its surface as (1 − r²)².
+    /// The displacement is 1 in the middle of a ball, and falls to 0 at its surface as (1 − r²)².
     Stroke,
-    /// What is on one side of a plane is turned and moved, the other side stays.
+    /// The part on one side of a plane is turned and moved, the other side stays.
     RigidPart,
 }
 
@@ -52,7 +52,7 @@ impl Change {
         }
     }
 
-    /// How far from its middle or its border a vertex is near it, in spacings.
+    /// Distance from the change's middle or border within which a vertex is near it, in spacings.
     fn reach(self) -> f64 {
         match self {
             Self::Ramp(width) => width.max(2.0) + 2.0,
@@ -62,7 +62,7 @@ impl Change {
     }
 }
 
-/// Where it happens, in the model's coordinates.
+/// Place of a change, in the model's coordinates.
 struct Place {
     /// A point of the plane, and its unit normal.
     center: DVec3,
@@ -121,7 +121,7 @@ impl Place {
         }
     }
 
-    /// How far the image of a point lies outside of all that the map makes of any point: along the
+    /// Distance of a point's image from all images that the map gives to any point: along the
     /// displacement as a part of its length; for a part that moves along an axis, beyond both images that the
     /// point might have.
     fn overshoot(&self, change: Change, p: DVec3, image: DVec3) -> f64 {
@@ -137,7 +137,7 @@ impl Place {
         }
     }
 
-    /// What the overshoot is measured by: the largest displacement.
+    /// Largest displacement, by which the overshoot is measured.
     fn largest_displacement(&self, change: Change, positions: &[DVec3]) -> f64 {
         match change {
             Change::RigidPart => {
@@ -148,7 +148,7 @@ impl Place {
     }
 }
 
-/// What is said of a result.
+/// Figures of a result.
 struct Outcome {
     rms: f64,
     worst: f64,

@@ -1,5 +1,5 @@
-//! How well and how fast models are sampled: the distances of all vertices of a model like a scan from P_S,
-//! beside other ways to thin a model out; and the time and memory of `simod sample` beside a copy of the same
+//! Quality and speed of the sampling: the distances of all vertices of a model like a scan from P_S, beside
+//! other ways to thin a model out; and the time and memory of `simod sample` beside a copy of the same
 //! file.
 #![allow(
     clippy::print_stdout,
@@ -55,14 +55,14 @@ struct Arguments {
     command: Option<Hidden>,
 }
 
-/// What to measure.
+/// Part of the figures that is measured.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Part {
     Quality,
     Speed,
 }
 
-/// What this program calls itself for.
+/// Commands for which this program calls itself.
 #[derive(Subcommand)]
 enum Hidden {
     /// Be one of the programs to compare with

@@ -13,7 +13,7 @@ use simod_benches::process::Result;
 use simod_benches::scan::VERTEX_BYTES;
 use simod_model::output::write_file;
 
-/// Which one.
+/// Another way to thin a model out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Peer {
     /// The mean of the vertices in each cell of a uniform grid. The edge of a cell is found beforehand.
@@ -24,7 +24,7 @@ pub enum Peer {
 }
 
 impl Peer {
-    /// What a table calls it.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Voxels => "means over voxels",
@@ -34,7 +34,7 @@ impl Peer {
     }
 }
 
-/// What a process shall do.
+/// Work of one process.
 #[derive(Debug, Args)]
 pub struct Job {
     peer: Peer,
@@ -49,7 +49,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// The command that does it.
+    /// The command that does the job.
     pub fn command(&self) -> Result<Command> {
         let mut command = Command::new(std::env::current_exe()?);
         let peer = self.peer.to_possible_value().ok_or("no such program")?;
@@ -79,7 +79,7 @@ impl Job {
         Ok(())
     }
 
-    /// What it has left.
+    /// Reads the points that the job has left.
     pub fn read_points(&self) -> Result<Vec<DVec3>> {
         let bytes = std::fs::read(&self.output)?;
         Ok(bytes.chunks_exact(12).map(|p| DVec3::from_array(position(p).map(f64::from))).collect())

@@ -1,4 +1,4 @@
-//! How far all vertices of a model like a scan are from the samples, and from the triangles between these.
+//! Distances of all vertices of a model like a scan from the samples, and from the triangles between these.
 
 use std::path::Path;
 use std::process::Command;
@@ -32,7 +32,7 @@ const COLUMNS: [&str; 11] = [
 /// Time between two looks at a process' memory: rarely enough that they cost it nothing.
 const POLL: Duration = Duration::from_millis(5);
 
-/// What is left of a model.
+/// A model that was thinned out.
 struct Thinned {
     points: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

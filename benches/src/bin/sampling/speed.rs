@@ -25,7 +25,7 @@ const COLUMNS: [&str; 10] = [
     "wall / copy",
 ];
 
-/// What one run took.
+/// Figures of one run: seconds by the clock, of the processor and of a copy; peak of memory; samples.
 struct Round {
     wall: f64,
     cpu: f64,

@@ -10,12 +10,13 @@ pub struct Case {
     pub title: &'static str,
     pub shape: Shape,
     pub is_closed: bool,
-    /// What is smaller is a detail, in the model's unit; nothing where there are none.
+    /// Length below which a feature is a detail, in the model's unit; nothing where there are none.
     pub details: Option<f64>,
-    /// What the pictures show: a box; and from where, to the right of +z and down, in radians.
+    /// Box that the pictures show; and the direction that they are seen from, to the right of +z and down, in
+    /// radians.
     pub stage: [DVec3; 2],
     pub view: [f64; 2],
-    /// Of one picture, in pixels.
+    /// Size of one picture, in pixels.
     pub size: [u32; 2],
 }
 

@@ -11,7 +11,7 @@ use simod_measure::{DetailRotation, Details, Edges, Spread, area_distortion, edg
 
 use crate::cases::Case;
 
-/// Where a shape has no details, triangles are compared with the surface smoothed over this length.
+/// Length over which the surface is smoothed that triangles are compared with where a shape has no details.
 const SMOOTH: f64 = 0.04;
 
 /// A shape at rest.
@@ -21,7 +21,7 @@ pub struct Subject<'a> {
     triangles: Vec<[u32; 3]>,
 }
 
-/// What a deformation does to a shape; see [`simod_measure`].
+/// Figures of what a deformation does to a shape; see [`simod_measure`].
 pub struct Figures {
     /// Relative change, where the shape is closed.
     volume: Option<f64>,
@@ -47,7 +47,13 @@ impl<'a> Subject<'a> {
 }
 
 /// Runs a session some times, and measures its result.
-pub fn of(subject: &Subject<'_>, simod: &Path, session: &Path, output: &Path, runs: u32) -> Result<Figures> {
+pub fn measure(
+    subject: &Subject<'_>,
+    simod: &Path,
+    session: &Path,
+    output: &Path,
+    runs: u32,
+) -> Result<Figures> {
     let (mut prepare, mut deform, mut samples) = (Vec::new(), Vec::new(), 0.0);
     for _ in 0..runs {
         let report = report(Command::new(simod).arg("run").arg(session).arg("-o").arg(output))?;

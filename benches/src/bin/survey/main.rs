@@ -92,7 +92,7 @@ fn measure_case(case: &Case, arguments: &Arguments, simod: &Path, folder: &Path)
             continue;
         };
         let output = folder.join(format!("{}.edited.ply", method.key));
-        let figures = figures::of(&subject, simod, &session, &output, arguments.runs)?;
+        let figures = figures::measure(&subject, simod, &session, &output, arguments.runs)?;
         samples = figures.samples;
         println!("{}", row([method.name.to_owned()].into_iter().chain(figures.cells())));
         gallery.add(method.name, &output)?;

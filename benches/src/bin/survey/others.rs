@@ -18,7 +18,7 @@ struct Other {
     /// Samples of the case that its session `CASE` and this deforms, for tools that take what others have
     /// made.
     samples: Option<&'static str>,
-    /// What is shown: a caption, and the session `CASE-KEY.toml` that makes it.
+    /// Pictures: for each its caption, and the session `CASE-KEY.toml` that makes it.
     results: &'static [[&'static str; 2]],
 }
 

@@ -56,7 +56,7 @@ impl<'a> Gallery<'a> {
         let points: Vec<SurfaceDisc> = surface.into_iter().zip(&self.colors).map(point).collect();
 
         let ([width, height], [yaw, pitch]) = (self.case.size, self.case.view);
-        // What is at rest may not fit on the others' stage.
+        // The model at rest may not fit on the others' stage.
         let stage = if self.pictures.is_empty() { [bounds.min, bounds.max] } else { self.case.stage };
         let camera = PictureCamera::frame(stage, yaw, pitch, f64::from(width) / f64::from(height));
         let mut renderer =

@@ -279,7 +279,7 @@ impl Reconstruct {
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;
-            let field = DeformationField::of(&around, deformed, self.method.into())
+            let field = DeformationField::from_deformed(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let ErrorExcess { worst, rounding, place, samples, needed } = beyond;

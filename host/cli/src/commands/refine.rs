@@ -173,7 +173,7 @@ impl Refine {
         let field = around
             .as_ref()
             .zip(deformed)
-            .map(|(around, deformed)| DeformationField::of(around, deformed, Method::default()));
+            .map(|(around, deformed)| DeformationField::from_deformed(around, deformed, Method::default()));
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
         how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
@@ -205,7 +205,7 @@ fn write_deformed(
 ) -> Result<()> {
     let more = {
         let around = RestGeometry::kept(sampled);
-        let field = DeformationField::of(&around, &deformed, Method::default());
+        let field = DeformationField::from_deformed(&around, &deformed, Method::default());
         appended_deformed(refined, deformed.local.len(), &field)
     };
     let frame = deformed.frame(&refined.frame);

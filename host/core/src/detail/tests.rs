@@ -42,7 +42,7 @@ fn streamed(
     let report = match deformed {
         Some(deformed) => {
             let around = RestGeometry::new(&sampled.samples);
-            run(Some(&DeformationField::of(&around, deformed, Method::default())))
+            run(Some(&DeformationField::from_deformed(&around, deformed, Method::default())))
         }
         None => run(None),
     }?;

@@ -197,7 +197,7 @@ pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
         let second = std::array::from_fn(|at| own_second[at] + second[at] / sum);
         e.with_slope(e.slope() + more).with_second(second)
     };
-    expansions.par_iter().enumerate().map(told).collect()
+    expansions.par_iter().inspect(seen(fitted)).enumerate().map(told).collect()
 }
 
 /// Gradient across the surface by the anchors, compared with that of a sample's own expansion.
@@ -253,7 +253,13 @@ pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAc
         let spread = (squares / sum - apart * apart).max(0.0).sqrt();
         ToldAcross { apart, spread, trust: trust / sum }
     };
-    expansions.par_iter().enumerate().map(told).collect()
+    expansions.par_iter().inspect(seen(fitted)).enumerate().map(told).collect()
+}
+
+/// Tells that an expansion was gone through, and the neighbours of its sample.
+fn seen(fitted: FitInput<'_>) -> impl Fn(&&Expansion) + Sync + Send {
+    let bytes = size_of::<Expansion>() + fitted.stencils.bytes_of(1);
+    move |_| fitted.samples.storage().gone_through(bytes)
 }
 
 /// Whether a gradient that differs by `more` from `own`, that of an expansion, may be the map's: its volume
@@ -609,7 +615,7 @@ mod tests {
         for i in inner {
             let n = samples.normals()[i];
             let expected = gradient(samples.positions[i]) * n;
-            for (sum, all) in sums.iter_mut().zip([&field.expansions, &field.turning]) {
+            for (sum, all) in sums.iter_mut().zip([&field.expansions[..], &field.turning[..]]) {
                 *sum += ((Mat3::IDENTITY + all[i].slope()) * n).distance_squared(expected);
             }
             count += 1.0;

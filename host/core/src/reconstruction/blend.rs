@@ -18,6 +18,7 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::long_list::{ListStorage, LongList};
 
 use super::expansion::{Expansion, ReachingSupport};
 use super::lanes::{Lanes, PACKET, from, length_squared, triple};
@@ -56,27 +57,29 @@ pub struct Supports {
     /// meaning.
     starts: Vec<u32>,
     ends: Vec<u32>,
-    reaching: Vec<ReachingSupport>,
+    reaching: LongList<ReachingSupport>,
 }
 
 impl Supports {
     /// The supports of samples, whose neighbours are those on their sheets.
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
-        let (radius, ranging) = reaches(positions, sheets);
-        let HomeLists { starts, ends, reaching } = HomeLists::find(positions, &radius, sheets);
+        let (radius, ranging) = reaches(positions, sheets, samples.storage());
+        let HomeLists { starts, ends, reaching } =
+            HomeLists::find(positions, &radius, sheets, samples.storage());
         Self { radius, ranging, starts, ends, reaching }
     }
 
     /// Supports of samples whose lists of homes were found before: the end of each list, from the first home
     /// on, and the entries of all lists, which have to be samples.
     pub fn known(
-        positions: &[Vec3],
+        samples: &SampleSet,
         sheets: &Sheets,
         ends: Vec<u32>,
-        mut reaching: Vec<ReachingSupport>,
+        mut reaching: LongList<ReachingSupport>,
     ) -> Self {
-        let (radius, ranging) = reaches(positions, sheets);
+        let (positions, storage) = (&samples.positions, samples.storage());
+        let (radius, ranging) = reaches(positions, sheets, storage);
         let balls = Balls::new(positions, &radius);
         let starts: Vec<u32> = [0].into_iter().chain(ends.iter().copied()).take(ends.len()).collect();
         let mut rest = &mut reaching[..];
@@ -88,6 +91,7 @@ impl Supports {
             rest = behind;
         }
         jobs.into_par_iter().enumerate().for_each(|(job, (part, starts, ends))| {
+            storage.gone_through(size_of_val(part));
             for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
                 let list = &mut part[(start - starts[0]) as usize..(end - starts[0]) as usize];
                 list.iter_mut().for_each(|r| *r = balls.reaching(job * HOMES_OF_JOB + at, r.sample as usize));
@@ -104,7 +108,12 @@ impl Supports {
             && self.ends.len() == samples
             && self.starts.iter().zip(&self.ends).all(|(start, end)| start <= end)
             && self.ends.iter().all(|end| *end as usize <= self.reaching.len())
-            && self.reaching.iter().all(|r| (r.sample as usize) < samples)
+            && self.reaching.pass().all(|r| (r.sample as usize) < samples)
+    }
+
+    /// Bytes of the lists of so many homes, about.
+    pub fn bytes_of(&self, homes: usize) -> usize {
+        size_of_val(&self.reaching[..]) / self.radius.len().max(1) * homes
     }
 
     /// The supports that reach where `home` is the home.
@@ -114,8 +123,8 @@ impl Supports {
 }
 
 /// Radii of the samples' supports, and the distances within which [ranges](super::bound) are known.
-fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
-    let all = || (0..positions.len()).into_par_iter();
+fn reaches(positions: &[Vec3], sheets: &Sheets, storage: &ListStorage) -> (Vec<f32>, Vec<f32>) {
+    let all = || (0..positions.len()).into_par_iter().inspect(|_| storage.gone_through(sheets.bytes_of(1)));
     let radius = all().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1);
     let ranging = all().map(|i| match sheets.graph().nearest_to(i).get(AROUND - 2) {
         // A little less, as distances are rounded.

@@ -14,7 +14,7 @@ use std::ops::Range;
 use glam::{Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use simod_model::memory;
+use simod_model::long_list::LongList;
 
 use super::expansion::Expansion;
 use super::gradients::Gradients;
@@ -79,7 +79,7 @@ impl Jet {
 /// Expansions of all samples, and the trouble of those whose neighbours disagree with them.
 pub struct Expanded {
     /// The expansion at each sample.
-    pub expansions: Vec<Expansion>,
+    pub expansions: LongList<Expansion>,
     /// The troubled samples, ascending.
     pub troubled: Vec<(u32, TroubledSample)>,
 }
@@ -106,11 +106,13 @@ pub fn expand(
         Expansion::new(q, deformed[i] - q, slope, [Vec3::ZERO; 6])
     };
     // The system's own zeros: the threads that fit touch them first.
-    let mut expansions: Vec<Expansion> = memory::zeros(samples.len());
+    let storage = samples.storage();
+    let mut expansions = LongList::<Expansion>::zeros(samples.len(), storage);
     let mut trouble = vec![0.0; samples.len()];
     let jobs = expansions.par_chunks_mut(TOGETHER).zip(trouble.par_chunks_mut(TOGETHER));
     jobs.enumerate().for_each(|(chunk, (expansions, trouble))| {
         let first = chunk * TOGETHER;
+        storage.gone_through(size_of_val(expansions) + stencils.bytes_of(expansions.len()));
         expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
         Arch::new().dispatch(ExpansionFits { fitted, first, expansions, trouble });
     });
@@ -398,7 +400,7 @@ pub(super) mod tests {
             let affine =
                 |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
             let mut expansions: Vec<Expansion> =
-                samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
+                samples.positions.iter().zip(&gradients.gradient[..]).map(affine).collect();
             let mut trouble = vec![0.0; 961];
             by(ExpansionFits { fitted, first: 0, expansions: &mut expansions, trouble: &mut trouble });
             let numbers = |(e, trouble): (&Expansion, &f32)| {

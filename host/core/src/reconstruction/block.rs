@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use simod_model::frame::{Frame, is_finite};
 
 use super::blend::{Blending, Grouped, LEAST_WEIGHT};
+use super::expansion::Expansion;
 use super::homes::{Homes, with_room};
 use super::lanes::PACKET;
 use super::repeated::Repeated;
@@ -255,6 +256,8 @@ impl Workspace {
         positions: &[DVec3],
         moved: &mut Moved<'_>,
     ) {
+        let bytes = field.around.supports.bytes_of(1) + size_of::<Expansion>();
+        field.around.samples.storage().gone_through(bytes * self.runs.len());
         let Moved { normals, gradients, figures, .. } = moved;
         let turning = if gradients.is_empty() { &[][..] } else { &field.turning };
         let is_blend = field.method == Method::BlendedJets;

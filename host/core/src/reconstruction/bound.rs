@@ -111,7 +111,8 @@ pub struct Bound {
 impl Bound {
     /// Bound that all samples set, by their deformed positions.
     pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let all = (0..deformed.len()).into_par_iter();
+        let seen = |_: &usize| samples.storage().gone_through(sheets.bytes_of(1));
+        let all = (0..deformed.len()).into_par_iter().inspect(seen);
         Self { edges: all.map(|i| EdgeStretches::around(samples, sheets, deformed, i)).collect() }
     }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::follow::Following;
+use simod_model::long_list::ListStorage;
 use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
 
@@ -90,10 +91,13 @@ impl Folds {
         is_told: &[bool],
         normals: &[Vec3],
         neighbours: impl Fn(usize) -> &'s [u32],
+        storage: &ListStorage,
     ) -> Self {
         let all = || 0..expansions.len();
+        let seen = |e: &&Expansion| storage.gone_through(size_of_val(*e));
         let gradient = |e: &Expansion| Mat3::IDENTITY + e.slope();
-        let determinants: Vec<f32> = expansions.par_iter().map(|e| gradient(e).determinant()).collect();
+        let determinants: Vec<f32> =
+            expansions.par_iter().inspect(seen).map(|e| gradient(e).determinant()).collect();
         let signs = || determinants.iter().zip(is_told).filter(|(_, told)| **told).map(|(d, _)| *d);
         let mirrored = signs().filter(|d| *d < 0.0).count() > signs().filter(|d| *d > 0.0).count();
         let mut folds = Self { samples: 0, first: None, mirrored, near: Vec::new() };
@@ -280,7 +284,13 @@ mod tests {
             };
             let expansions: Vec<Expansion> = scales.iter().map(expansion).collect();
             let neighbours = |i: usize| -> &[u32] { [&[1][..], &[0, 2], &[1, 3], &[2]][i] };
-            let folds = Folds::new(&expansions, is_told, &[Vec3::Z; 4][..scales.len()], neighbours);
+            let folds = Folds::new(
+                &expansions,
+                is_told,
+                &[Vec3::Z; 4][..scales.len()],
+                neighbours,
+                &ListStorage::Memory,
+            );
             (folds.samples, folds.first)
         };
         let along = |x: f32| Vec3::new(x, 1.0, 1.0);

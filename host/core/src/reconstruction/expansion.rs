@@ -1,6 +1,6 @@
 //! Second-order Taylor expansions of the deformation about samples, which are blended.
 
-use bytemuck::Zeroable;
+use bytemuck::{Pod, Zeroable};
 use glam::{Mat3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,8 @@ pub const ROUNDING: f64 = 5e-7;
 /// samples that do not move are exactly nothing.
 ///
 /// Memory: 144 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Expansion {
     /// q, in local coordinates.
     pub center: [f32; 3],
@@ -142,7 +143,8 @@ impl Expansion {
 }
 
 /// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize, Zeroable)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, Pod, Zeroable)]
+#[repr(C)]
 pub struct ReachingSupport {
     /// Vertices nearer to the home's sample than this are not reached.
     pub from: f32,

@@ -112,7 +112,7 @@ impl DeformationField<'_> {
     /// has to be [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
-        let homes = Homes::new(self.around).of(&places);
+        let homes = Homes::new(self.around).find_at(&places);
         for ((place, off), home) in found.iter().zip(homes) {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);
@@ -176,7 +176,7 @@ impl DeformationField<'_> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
         let samples = self.expansions.len();
-        let scales: Vec<Scale> = (0..samples).into_par_iter().map(|i| self.scale_at(i)).collect();
+        let scales: Vec<Scale> = self.each_sample().map(|i| self.scale_at(i)).collect();
         let largest: Vec<AtomicU32> = (0..samples).map(|_| AtomicU32::new(0)).collect();
         let disagreement = |i: usize| {
             let near = self.stencils.ring(i);
@@ -193,7 +193,7 @@ impl DeformationField<'_> {
             }
             (squares / near.len().max(1) as f32).sqrt()
         };
-        let disagreement: Vec<f32> = (0..samples).into_par_iter().map(disagreement).collect();
+        let disagreement: Vec<f32> = self.each_sample().map(disagreement).collect();
         drop(scales);
         let largest = largest.into_iter().map(|bits| f32::from_bits(bits.into_inner()));
         let told = |(disagreement, largest)| Expectation { disagreement, largest, left_out: 0.0 };
@@ -203,7 +203,7 @@ impl DeformationField<'_> {
     /// Finds the distances of samples from where the others' expansions take them: the expected error of
     /// vertices rests on these, too. The field has to be [expecting](Self::expecting).
     pub(super) fn expecting_of_vertices(mut self) -> Self {
-        let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
+        let squares: Vec<f32> = self.each_sample().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
             let ring = self.stencils.ring(i);
             let sum = squares[i] + ring.iter().map(|j| squares[*j as usize]).sum::<f32>();
@@ -213,6 +213,13 @@ impl DeformationField<'_> {
         self.expected.iter_mut().zip(means).for_each(|(expected, mean)| expected.left_out = mean);
         self.unresolved = unresolved::find(self.fit_input(), &self.expansions);
         self
+    }
+
+    /// All samples in order, by jobs that look at their expansions and neighbours.
+    fn each_sample(&self) -> impl IndexedParallelIterator<Item = usize> {
+        let bytes = size_of::<Expansion>() + self.stencils.bytes_of(1);
+        let seen = move |_: &usize| self.around.samples.storage().gone_through(bytes);
+        (0..self.expansions.len()).into_par_iter().inspect(seen)
     }
 
     /// Square of the distance of a sample from where the blend of its neighbours alone takes it; where none
@@ -347,7 +354,9 @@ impl DeformationField<'_> {
 
     /// Rounding error at a sample, local units.
     fn rounding_at(&self, sample: usize) -> f32 {
-        self.rounding.estimate(self.around.samples.positions[sample], self.expansions[sample].displacement())
+        let place = self.around.samples.positions[sample];
+        // The displacement as the expansion has it, which may be in a file.
+        self.rounding.estimate(place, self.deformed[sample] - place)
     }
 
     /// Samples around which more than `accepted` is expected, a fraction of the diagonal of the model of

@@ -51,7 +51,7 @@ fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
     let around = RestGeometry::new(&samples);
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
     let field = expecting(&around, &deformed);
-    let homes = Homes::new(&around).of(places);
+    let homes = Homes::new(&around).find_at(places);
     let compare = |((p, image), home): ((&Vec3, Vec3), u32)| {
         (image.distance(twisted(*p)), field.expected_at(home as usize, *p, image - *p))
     };

@@ -4,6 +4,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::follow;
 use simod_model::frame::Frame;
+use simod_model::long_list::LongList;
 
 use super::blend::LEAST_WEIGHT;
 use super::blended_jets::{Expanded, FitInput};
@@ -36,7 +37,7 @@ pub struct DeformationField<'a> {
     pub(super) method: Method,
     pub(super) gradients: Gradients,
     pub(super) stencils: Stencils<'a>,
-    pub(super) expansions: Vec<Expansion>,
+    pub(super) expansions: LongList<Expansion>,
     pub(super) limiter: Limiter,
     pub(super) bound: Bound,
     /// Whether the deformation moves anything at vertices that have each sample as their home.
@@ -63,17 +64,21 @@ impl<'a> DeformationField<'a> {
         let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
         let Expanded { mut expansions, troubled } =
             blended_jets::expand(samples, &stencils, deformed, &gradients);
+        let storage = samples.storage();
         let supported = |(e, radius): (&mut Expansion, &f32)| {
+            storage.gone_through(size_of_val(e));
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
             !e.is_still()
         };
         let moves: Vec<bool> = expansions.par_iter_mut().zip(&supports.radius).map(supported).collect();
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
-        let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
-        let limiter = Limiter::new(supports, &expansions, &troubled);
+        let seen = |_: &usize| storage.gone_through(supports.bytes_of(1));
+        let active = (0..samples.len()).into_par_iter().inspect(seen);
+        let active = active.map(|home| moves[home] || reached(home)).collect();
+        let limiter = Limiter::new(supports, &expansions, &troubled, storage);
         let bound = Bound::new(samples, sheets, deformed);
         let neighbours = |i| sheets.of_sample(i);
-        let folds = Folds::new(&expansions, &gradients.tells_side, samples.normals(), neighbours);
+        let folds = Folds::new(&expansions, &gradients.tells_side, samples.normals(), neighbours, storage);
         Self {
             around,
             deformed,
@@ -97,7 +102,11 @@ impl<'a> DeformationField<'a> {
     ///
     /// # Panics
     /// The number of deformed positions is not that of the samples.
-    pub fn of(around: &'a RestGeometry<'a>, deformed: &'a DeformedPositions, method: Method) -> Self {
+    pub fn from_deformed(
+        around: &'a RestGeometry<'a>,
+        deformed: &'a DeformedPositions,
+        method: Method,
+    ) -> Self {
         Self { shift: deformed.shift, ..Self::new(around, &deformed.local, method) }
     }
 

@@ -17,6 +17,7 @@
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::long_list::LongList;
 
 use super::expansion::ROUNDING;
 use super::packets::{NeighbourPacket, Neighbours, triple};
@@ -51,7 +52,7 @@ const RELIEF: f64 = 4e-7;
 #[derive(Default)]
 pub struct Gradients {
     /// Gradient of the deformation at each sample, held to the prior across.
-    pub gradient: Vec<Mat3>,
+    pub gradient: LongList<Mat3>,
     /// Unit normal of the deformed surface at each sample.
     pub normal: Vec<Vec3>,
     /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise
@@ -68,10 +69,11 @@ impl Gradients {
     pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
         let own = Stencils::own(sheets);
         // The system's own zeros: the threads that fit touch them first.
-        let mut gradient: Vec<Mat3> = bytemuck::zeroed_vec(samples.len());
+        let mut gradient = LongList::<Mat3>::zeros(samples.len(), samples.storage());
         let mut sides = vec![None; samples.len()];
         let jobs = gradient.par_chunks_mut(TOGETHER).zip(sides.par_chunks_mut(TOGETHER)).enumerate();
         jobs.for_each(|(chunk, (gradient, sides))| {
+            samples.storage().gone_through(size_of_val(gradient) + own.bytes_of(gradient.len()));
             let mut fits = [(Mat3::IDENTITY, None); TOGETHER];
             let fits = &mut fits[..gradient.len()];
             let all: [u32; TOGETHER] = std::array::from_fn(|at| (chunk * TOGETHER + at) as u32);
@@ -396,7 +398,7 @@ mod tests {
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
-            for f in Gradients::fit(&set, &sheets, &deformed).0.gradient {
+            for f in Gradients::fit(&set, &sheets, &deformed).0.gradient.iter() {
                 assert!(f.is_finite() && f.to_cols_array().iter().all(|x| x.abs() < 4.0), "{f}");
             }
         }

@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use glam::{Vec3, Vec4};
 use pulp::Simd;
 use rayon::prelude::*;
+use simod_model::long_list::LongList;
 
 use super::expansion::Expansion;
 use super::lanes::{Lanes, from};
@@ -43,7 +44,7 @@ pub struct HomeOctree {
     /// The whole is the first.
     parted: Vec<[u32; 8]>,
     /// Centre of each support, and one over the square of its radius.
-    supports: Vec<Vec4>,
+    supports: LongList<Vec4>,
     /// For each node of the samples' tree, the largest radius below it: found when a place is first looked up
     /// that no support near it reaches.
     pub(super) largest: OnceLock<Vec<f32>>,
@@ -53,8 +54,9 @@ impl HomeOctree {
     /// The octree over samples with supports of these radii.
     pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
         let positions = &samples.positions;
-        let (mut cells, whole) = Self::whole(positions, radius);
-        let balls: Vec<Vec4> = positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect();
+        let (mut cells, whole) = Self::whole(samples, radius);
+        let mut balls = LongList::<Vec4>::zeros(positions.len(), samples.storage());
+        balls.iter_mut().zip(positions).zip(radius).for_each(|((to, p), radius)| *to = p.extend(*radius));
         let growing = Growing { supports: &cells.supports, balls: &balls };
         let all: Vec<u32> = (0..positions.len() as u32).collect();
         let mut parted = Vec::new();
@@ -65,11 +67,11 @@ impl HomeOctree {
     }
 
     /// Octree whose [parted](Self::parted) cells were found before; `None` if they are no octree's.
-    pub fn known(positions: &[Vec3], radius: &[f32], parted: Vec<[u32; 8]>) -> Option<Self> {
+    pub fn known(samples: &SampleSet, radius: &[f32], parted: Vec<[u32; 8]>) -> Option<Self> {
         let mut levels = vec![0; parted.len()];
         for (at, what) in parted.iter().enumerate().flat_map(|(at, eighths)| eighths.map(|what| (at, what))) {
             if what & PARTED == 0 {
-                ((what as usize) < positions.len()).then_some(())?;
+                ((what as usize) < samples.len()).then_some(())?;
                 continue;
             }
             // The eighths of a cell stand behind the cell in the list.
@@ -78,7 +80,7 @@ impl HomeOctree {
             (below > at && below < parted.len() && level < LEVELS).then_some(())?;
             levels[below] = level.max(levels[below]);
         }
-        let cells = Self::whole(positions, radius).0;
+        let cells = Self::whole(samples, radius).0;
         (!parted.is_empty()).then_some(Self { parted, ..cells })
     }
 
@@ -88,7 +90,8 @@ impl HomeOctree {
     }
 
     /// The octree of one cell, which is not parted yet.
-    fn whole(positions: &[Vec3], radius: &[f32]) -> (Self, OctreeCell) {
+    fn whole(samples: &SampleSet, radius: &[f32]) -> (Self, OctreeCell) {
+        let positions = &samples.positions;
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
         // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact.
@@ -96,15 +99,18 @@ impl HomeOctree {
         let size = (max - min).max_element().max(min.abs().max(max.abs()).max_element());
         let edge = (1.001 * size).max(1e-20);
         let corner = 0.5 * (min + max) - 0.5 * edge;
-        let supports = positions
-            .iter()
+        let support = |p: &Vec3, radius: f32| p.extend((1.0 / (radius * radius)).min(Expansion::NO_SUPPORT));
+        let mut supports = LongList::<Vec4>::zeros(positions.len(), samples.storage());
+        supports
+            .iter_mut()
+            .zip(positions)
             .zip(radius)
-            .map(|(p, radius)| p.extend((1.0 / (radius * radius)).min(Expansion::NO_SUPPORT)));
+            .for_each(|((to, p), radius)| *to = support(p, *radius));
         let cells = Self {
             corner,
             scale: (1 << LEVELS) as f32 / edge,
             parted: Vec::new(),
-            supports: supports.collect(),
+            supports,
             largest: OnceLock::new(),
         };
         (cells, OctreeCell { corner, edge, level: 0 })

@@ -49,7 +49,7 @@ impl<'a> Homes<'a> {
     }
 
     /// The homes of finite positions.
-    pub fn of(&self, positions: &[Vec3]) -> Vec<u32> {
+    pub fn find_at(&self, positions: &[Vec3]) -> Vec<u32> {
         let count = positions.len();
         let mut by_axis = [0; 3].map(|_| vec![0.0; with_room(count)]);
         for (i, p) in positions.iter().enumerate() {
@@ -298,7 +298,7 @@ mod tests {
                 .iter()
                 .map(|(i, x, y, z, size)| points[*i as usize % points.len()] + Vec3::new(*x, *y, *z) * 0.5f32.powi(*size))
                 .collect();
-            let homes = Homes::new(&around).of(&places);
+            let homes = Homes::new(&around).find_at(&places);
             let by_axis = [0, 1, 2].map(|axis| {
                 places.iter().map(|p| p[axis]).chain([0.0; PACKET]).collect::<Vec<f32>>()
             });
@@ -316,7 +316,7 @@ mod tests {
             }
             let cells = around.cells();
             for (p, home) in places.iter().zip(&homes) {
-                prop_assert_eq!(Homes::new(&around).of(&[*p]), [*home]);
+                prop_assert_eq!(Homes::new(&around).find_at(&[*p]), [*home]);
                 let reaches = |i: u32| cells.depth(i, *p) < 0.999;
                 let reached = (0..points.len() as u32).any(|i| reaches(i) && around.supports.radius[i as usize] > 1e-9);
                 let crowded = (0..points.len()).any(|i| around.sheets.is_crowded(i));

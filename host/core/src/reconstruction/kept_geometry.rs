@@ -10,12 +10,14 @@
 
 use std::io::{self, Write};
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 use bytemuck::Zeroable;
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::ser::SerializeSeq;
 use serde::{Deserialize, Serialize, Serializer};
-use simod_model::memory;
+use simod_model::long_list::{ListStorage, LongList};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::RestGeometry;
@@ -38,6 +40,9 @@ const VERSION: u32 = 1;
 /// Samples whose lists are packed by one job.
 const TOGETHER: usize = 4096;
 
+/// Pieces that are packed at a time.
+const AT_ONCE: usize = 64;
+
 /// Most bytes of a file for each sample, beside [`LEAST`]: lists of 32 samples take 200 bytes at most, and
 /// there are three for each.
 const MOST: u64 = 1 << 10;
@@ -56,7 +61,7 @@ const OTHER: u8 = ITSELF + 1;
 
 /// The content of the file.
 #[derive(Serialize, Deserialize)]
-struct RestFile<'a> {
+struct RestFile<'a, P> {
     /// Hash of all that it depends on.
     key: u128,
     /// Three numbers of each normal, if some had to be estimated.
@@ -68,8 +73,7 @@ struct RestFile<'a> {
     /// Eight numbers of each cell.
     #[serde(serialize_with = "as_bytes")]
     cells: &'a [u8],
-    #[serde(borrow)]
-    pieces: Vec<SamplePiece<'a>>,
+    pieces: P,
 }
 
 /// Neighbours and supports of [`TOGETHER`] samples, packed.
@@ -130,17 +134,59 @@ fn key(samples: &SampleSet) -> u128 {
     hash.digest128()
 }
 
-/// The samples of each piece.
-fn pieces(samples: usize) -> impl IndexedParallelIterator<Item = Range<usize>> {
-    let piece = move |at: usize| at * TOGETHER..samples.min((at + 1) * TOGETHER);
-    (0..samples.div_ceil(TOGETHER)).into_par_iter().map(piece)
-}
-
 /// Writes the bytes of a file.
 pub(super) fn pack(around: &RestGeometry<'_>, to: impl Write) -> io::Result<()> {
-    let RestGeometry { samples, sheets, supports, .. } = around;
-    let no_places = || vec![OTHER; samples.len()];
-    let pack = |places: &mut Vec<u8>, homes: Range<usize>| {
+    let RestGeometry { samples, sheets, .. } = around;
+    let estimated = if samples.knows_normals() { &[] } else { samples.normals() };
+    let normals: Vec<_> = estimated.iter().map(|n| n.to_array().map(f32::to_le_bytes)).collect();
+    let cells: Vec<_> =
+        around.cells().parted().as_flattened().iter().map(|what| what.to_le_bytes()).collect();
+    let content = RestFile {
+        key: key(samples),
+        normals: normals.as_flattened().as_flattened(),
+        sheets: &pack_sheets(sheets, samples.len()),
+        cells: cells.as_flattened(),
+        pieces: Packing(around),
+    };
+    write_sealed(LETTERS, VERSION, &content, to)
+}
+
+/// The pieces of all samples, packed as they are written.
+///
+/// Memory: the bytes of [`AT_ONCE`] pieces, some 30 MB, and one for each sample and thread.
+struct Packing<'a>(&'a RestGeometry<'a>);
+
+impl Serialize for Packing<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
+        let samples = self.0.samples.len();
+        let count = samples.div_ceil(TOGETHER);
+        let mut sequence = to.serialize_seq(Some(count))?;
+        let rooms: Mutex<Vec<Vec<u8>>> = Mutex::default();
+        let lock = || rooms.lock().unwrap_or_else(PoisonError::into_inner);
+        for first in (0..count).step_by(AT_ONCE) {
+            let pack = |at: usize| {
+                let room = lock().pop();
+                let mut places = room.unwrap_or_else(|| vec![OTHER; samples]);
+                let packed = self.packed(at * TOGETHER..samples.min((at + 1) * TOGETHER), &mut places);
+                lock().push(places);
+                packed
+            };
+            let pieces = first..count.min(first + AT_ONCE);
+            let packed: Vec<(Vec<u8>, u32, Vec<u8>)> = pieces.into_par_iter().map(pack).collect();
+            for (neighbours, reaching, supports) in &packed {
+                sequence.serialize_element(&SamplePiece { neighbours, reaching: *reaching, supports })?;
+            }
+        }
+        sequence.end()
+    }
+}
+
+impl Packing<'_> {
+    /// The neighbours of some samples, the number of the supports of them as homes, and the order of these.
+    /// `places` is as for [`pack_order`].
+    fn packed(&self, homes: Range<usize>, places: &mut [u8]) -> (Vec<u8>, u32, Vec<u8>) {
+        let RestGeometry { samples, sheets, supports, .. } = self.0;
+        samples.storage().gone_through(sheets.bytes_of(homes.len()) + supports.bytes_of(homes.len()));
         // As much as most take.
         let room = || Vec::with_capacity(homes.len() * USUAL as usize / 2);
         let (mut neighbours, mut orders, mut reaching) = (room(), room(), 0);
@@ -151,25 +197,7 @@ pub(super) fn pack(around: &RestGeometry<'_>, to: impl Write) -> io::Result<()> 
         }
         neighbours.extend(BEHIND);
         (neighbours, reaching, orders)
-    };
-    let packed: Vec<_> = pieces(samples.len()).map_init(no_places, pack).collect();
-    let pieces = packed.iter().map(|(neighbours, reaching, supports)| SamplePiece {
-        neighbours,
-        reaching: *reaching,
-        supports,
-    });
-    let estimated = if samples.knows_normals() { &[] } else { samples.normals() };
-    let normals: Vec<_> = estimated.iter().map(|n| n.to_array().map(f32::to_le_bytes)).collect();
-    let cells: Vec<_> =
-        around.cells().parted().as_flattened().iter().map(|what| what.to_le_bytes()).collect();
-    let content = RestFile {
-        key: key(samples),
-        normals: normals.as_flattened().as_flattened(),
-        sheets: &pack_sheets(sheets, samples.len()),
-        cells: cells.as_flattened(),
-        pieces: pieces.collect(),
-    };
-    write_sealed(LETTERS, VERSION, &content, to)
+    }
 }
 
 /// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for
@@ -220,16 +248,16 @@ fn pack_sheets(sheets: &Sheets, samples: usize) -> Vec<u8> {
 pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeometry<'a>> {
     let (version, content) = unseal(bytes, LETTERS).ok()?;
     (version == VERSION).then_some(())?;
-    let content: RestFile<'_> = postcard::from_bytes(content).ok()?;
+    let content: RestFile<'_, Vec<SamplePiece<'_>>> = postcard::from_bytes(content).ok()?;
     let n = samples.len();
     let is_of_these = content.key == key(samples) && content.pieces.len() == n.div_ceil(TOGETHER);
     is_of_these.then_some(())?;
-    let graph = unpack_graph(n, &content.pieces)?;
+    let graph = unpack_graph(n, &content.pieces, samples.storage())?;
     let sheets = unpack_sheets(graph, n, content.sheets).filter(|sheets| sheets.is_valid(n))?;
-    let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces)?;
-    let supports = Supports::known(&samples.positions, &sheets, ends, reaching);
-    let parted: Vec<u32> = fours(content.cells)?.iter().map(|what| u32::from_le_bytes(*what)).collect();
-    let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
+    let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces, samples.storage())?;
+    let supports = Supports::known(samples, &sheets, ends, reaching);
+    let parted = fours(content.cells)?.as_chunks().0.iter().map(|cell| cell.map(u32::from_le_bytes));
+    let cells = HomeOctree::known(samples, &supports.radius, parted.collect())?;
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
     // Normals and neighbours are set at last, as whoever finds the geometry anew otherwise shall not go by
@@ -246,16 +274,17 @@ fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
     rest.is_empty().then_some(chunks)
 }
 
-fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>]) -> Option<NeighbourGraph> {
+fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>], storage: &ListStorage) -> Option<NeighbourGraph> {
     let k = NEIGHBOURS.min(samples - 1);
     // The lengths of all pieces are checked before anything is held by what the file says.
     let is_there = |(at, piece): (usize, &SamplePiece<'_>)| {
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
     pieces.iter().enumerate().all(is_there).then_some(())?;
-    let mut flat = memory::zeros(k * samples);
+    let mut flat = LongList::zeros(k * samples, storage);
     let lists = flat.par_chunks_mut((TOGETHER * k).max(1)).zip(pieces).enumerate();
     lists.try_for_each(|(at, (lists, piece))| {
+        storage.gone_through(size_of_val(lists));
         let mut bytes = piece.neighbours;
         for (i, list) in (at * TOGETHER..).zip(lists.chunks_exact_mut(k)) {
             near_lists::take(i as u32, list, &mut bytes)?;
@@ -297,12 +326,13 @@ fn unpack_orders(
     sheets: &Sheets,
     samples: usize,
     pieces: &[SamplePiece<'_>],
-) -> Option<(Vec<u32>, Vec<ReachingSupport>)> {
+    storage: &ListStorage,
+) -> Option<(Vec<u32>, LongList<ReachingSupport>)> {
     // Each takes a byte at least.
     pieces.iter().all(|piece| piece.reaching as usize <= piece.supports.len()).then_some(())?;
     let all: usize = pieces.iter().map(|piece| piece.reaching as usize).sum();
     u32::try_from(all).ok()?;
-    let (mut ends, mut reaching) = (vec![0; samples], memory::zeros::<ReachingSupport>(all));
+    let (mut ends, mut reaching) = (vec![0; samples], LongList::<ReachingSupport>::zeros(all, storage));
     let (mut rest, mut first, mut rooms) = (&mut reaching[..], 0, Vec::with_capacity(pieces.len()));
     for piece in pieces {
         let (room, behind) = rest.split_at_mut(piece.reaching as usize);
@@ -311,6 +341,7 @@ fn unpack_orders(
     }
     let jobs = rooms.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
     jobs.try_for_each(|(at, ((first, room, bytes), ends))| {
+        storage.gone_through(size_of_val(room) + sheets.bytes_of(ends.len()));
         let (mut numbers, mut written) = (VarintNumbers(bytes), 0usize);
         for (home, end) in (at * TOGETHER..).zip(ends) {
             let count = usize::try_from(numbers.next()?).ok()?;

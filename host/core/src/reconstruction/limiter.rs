@@ -10,6 +10,7 @@
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
+use simod_model::long_list::ListStorage;
 
 use super::blend::Supports;
 use super::blended_jets::TroubledSample;
@@ -61,16 +62,25 @@ const NONE: u32 = u32::MAX;
 
 impl Limiter {
     /// The limiter for these expansions, of which these samples are `troubled`.
-    pub fn new(supports: &Supports, expansions: &[Expansion], troubled: &[(u32, TroubledSample)]) -> Self {
+    pub fn new(
+        supports: &Supports,
+        expansions: &[Expansion],
+        troubled: &[(u32, TroubledSample)],
+        storage: &ListStorage,
+    ) -> Self {
         if troubled.is_empty() {
             return Self::default();
         }
         let n = expansions.len();
         let around = |i: usize| supports.of_home(i).iter().map(|r| r.sample as usize);
+        let seen = |_: &usize| storage.gone_through(supports.bytes_of(1));
         let mut of_sample = vec![NONE; n];
         troubled.iter().zip(0..).for_each(|((i, _), at)| of_sample[*i as usize] = at);
-        let concerned: Vec<bool> =
-            (0..n).into_par_iter().map(|home| around(home).any(|i| of_sample[i] != NONE)).collect();
+        let concerned: Vec<bool> = (0..n)
+            .into_par_iter()
+            .inspect(seen)
+            .map(|home| around(home).any(|i| of_sample[i] != NONE))
+            .collect();
         let mut this = Self { concerned, place: vec![NONE; n], held: Vec::new() };
         for i in (0..n).filter(|home| this.concerned[*home]).flat_map(around) {
             if this.place[i] == NONE {

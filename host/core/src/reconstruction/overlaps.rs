@@ -7,7 +7,7 @@
 use glam::{Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use simod_model::memory;
+use simod_model::long_list::{ListStorage, LongList};
 
 use super::expansion::ReachingSupport;
 use super::lanes::Lanes;
@@ -49,15 +49,15 @@ impl Balls {
 pub struct HomeLists {
     pub starts: Vec<u32>,
     pub ends: Vec<u32>,
-    pub reaching: Vec<ReachingSupport>,
+    pub reaching: LongList<ReachingSupport>,
 }
 
 impl HomeLists {
     /// The lists of samples with supports of these radii.
-    pub fn find(positions: &[Vec3], radius: &[f32], sheets: &Sheets) -> Self {
+    pub fn find(positions: &[Vec3], radius: &[f32], sheets: &Sheets, storage: &ListStorage) -> Self {
         let n = positions.len();
         let balls = Balls::new(positions, radius);
-        let one_way = OneWay::find(positions, &balls, sheets);
+        let one_way = OneWay::find(positions, &balls, sheets, storage);
         // Places are left for as many supports as there may be: so lists that are made side by side stay
         // where they are.
         let (mut starts, mut most) = (Vec::with_capacity(n), 0);
@@ -65,7 +65,7 @@ impl HomeLists {
             starts.push(most as u32);
             most += 1 + sheets.of_sample(home).len() + one_way.owners_of(home).len();
         }
-        let (mut ends, mut reaching) = (vec![0; n], memory::zeros::<ReachingSupport>(most));
+        let (mut ends, mut reaching) = (vec![0; n], LongList::<ReachingSupport>::zeros(most, storage));
         let (mut parts, mut rest, mut first) =
             (Vec::with_capacity(n.div_ceil(TOGETHER)), &mut reaching[..], 0);
         for end in starts.iter().step_by(TOGETHER).skip(1).map(|start| *start as usize).chain([most]) {
@@ -76,6 +76,7 @@ impl HomeLists {
         let jobs = parts.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
         jobs.for_each(|(job, (part, ends))| {
             let (starts, first) = (&starts, job * TOGETHER);
+            storage.gone_through(size_of_val(part) + sheets.bytes_of(ends.len()));
             Arch::new().dispatch(Listing {
                 balls: &balls,
                 sheets,
@@ -99,7 +100,7 @@ struct OneWay {
 }
 
 impl OneWay {
-    fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets) -> Self {
+    fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets, storage: &ListStorage) -> Self {
         let n = positions.len();
         // The last neighbour of a sample whose neighbours are the nearest ones tells which samples are
         // neighbours.
@@ -109,9 +110,11 @@ impl OneWay {
             }
             _ => (-1.0, 0),
         };
-        let last: Vec<(f32, u32)> = (0..n).into_par_iter().map(last).collect();
+        let seen = |_: &usize| storage.gone_through(sheets.bytes_of(1));
+        let last: Vec<(f32, u32)> = (0..n).into_par_iter().inspect(seen).map(last).collect();
         let job = |job: usize| {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
+            storage.gone_through(sheets.bytes_of(samples.len()));
             Arch::new().dispatch(NeighbourQuery { balls, sheets, last: &last, samples })
         };
         // Pairs of a home and a sample that has it as a neighbour: these ascending.
@@ -279,7 +282,8 @@ mod tests {
         let sheets = Sheets::find(&samples);
         let positions = &samples.positions;
         let radius: Vec<f32> = (0..samples.len()).map(|i| sheets.around(positions, i, 6).1).collect();
-        let (balls, lists) = (Balls::new(positions, &radius), HomeLists::find(positions, &radius, &sheets));
+        let (balls, lists) =
+            (Balls::new(positions, &radius), HomeLists::find(positions, &radius, &sheets, samples.storage()));
         let knows = |i: usize, j: usize| sheets.of_sample(i).contains(&(j as u32));
         let mut one_way = 0;
         for home in 0..samples.len() {

@@ -74,6 +74,7 @@ impl Sheets {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
         let mut links = vec![Links::default(); samples.len()];
         links.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, links)| {
+            samples.storage().gone_through(size_of::<u32>() * graph.k() * links.len());
             Arch::new().dispatch(Linking { positions, normals, graph, first: chunk * TOGETHER, links });
         });
         let mut is_told = vec![false; samples.len()];
@@ -82,6 +83,7 @@ impl Sheets {
         }
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
+            samples.storage().gone_through(size_of::<u32>() * graph.k());
             let contacts = samples.contacts().filter(|_| is_told[i]);
             let told = contacts.and_then(|contacts| contacts.same_sheet(i));
             if let Some(same) = told.filter(|same| same.len() >= LEAST) {
@@ -125,7 +127,7 @@ impl Sheets {
         for (i, same) in own.collect::<Vec<(u32, Vec<u32>)>>() {
             sheets.push(i as usize, &same);
         }
-        sheets.leave_out_denied(positions);
+        sheets.leave_out_denied(samples);
         sheets.note_strangers(samples);
         sheets
     }
@@ -193,13 +195,14 @@ impl Sheets {
     /// to the ground around a sample there, while from the roof only the roof is reached.
     ///
     /// Memory: as much again as for the lists, for the time.
-    fn leave_out_denied(&mut self, positions: &[Vec3]) {
+    fn leave_out_denied(&mut self, samples: &SampleSet) {
         if self.neighbours.is_empty() {
             return;
         }
-        let lists = &*self;
+        let (lists, positions) = (&*self, &samples.positions);
         // List without those neighbours, if there are any, or if the list is one of its own.
         let left = |i: usize| -> Option<(u32, Vec<u32>)> {
+            samples.storage().gone_through(lists.bytes_of(1));
             let list = lists.of_sample(i);
             if !lists.is_crowded(i) && !list.iter().any(|j| lists.is_crowded(*j as usize)) {
                 return None;
@@ -243,6 +246,11 @@ impl Sheets {
     /// The nearest neighbours in space, whatever their sheets are.
     pub fn graph(&self) -> &NeighbourGraph {
         &self.graph
+    }
+
+    /// Bytes of the lists of so many samples, about.
+    pub fn bytes_of(&self, samples: usize) -> usize {
+        size_of::<u32>() * self.graph.k() * samples
     }
 
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.

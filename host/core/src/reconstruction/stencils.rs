@@ -79,6 +79,11 @@ impl<'a> Stencils<'a> {
         Self { sheets, mixed, borrows }
     }
 
+    /// Bytes of the lists of so many samples, about.
+    pub fn bytes_of(&self, samples: usize) -> usize {
+        self.sheets.bytes_of(samples)
+    }
+
     /// The samples that borrow, ascending.
     pub fn borrowers(&self) -> Vec<u32> {
         self.mixed.iter().map(|(i, _)| *i).collect()

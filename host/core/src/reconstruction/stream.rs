@@ -517,7 +517,7 @@ pub(super) fn field<'a>(
     around: &'a RestGeometry<'a>,
     deformed: &'a DeformedPositions,
 ) -> DeformationField<'a> {
-    let field = DeformationField::of(around, deformed, how.method);
+    let field = DeformationField::from_deformed(around, deformed, how.method);
     let field = field.expecting(&sampled.frame, model.info());
     let known = how.gradients.filter(|known| known.len() == sampled.samples.len());
     let is_smooth = known.is_some() || how.method == Method::BlendedJets;

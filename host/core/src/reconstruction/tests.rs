@@ -3,6 +3,7 @@
 use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
 use simod_model::follow::tangent;
 use simod_model::frame::Frame;
+use simod_model::long_list::ListStorage;
 
 use super::block::carry_on_this_thread;
 use super::{DeformationField, Method, Moved, RestGeometry, VertexDiagnostics, carry};
@@ -253,6 +254,37 @@ fn tangents_turn_as_lines_on_the_surface_do() {
 
 /// More of them than are carried over at a time, and samples that all go far.
 #[test]
+fn lists_in_files_carry_vertices_to_the_same_bits() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Enough samples for all lists to be long; two plates near each other, of which one bends and a part of
+    // the other one jumps.
+    let points: Vec<Vec3> = patch(140).flat_map(|p| [p, p - 0.004 * Vec3::Y]).collect();
+    let deformed: Vec<Vec3> = (0..)
+        .zip(&points)
+        .map(|(i, p): (u32, _)| match i % 2 {
+            0 => *p + Vec3::Y * (3.0 * p.x).sin() * 0.1,
+            _ if p.z > 0.5 => *p - 0.2 * Vec3::Y,
+            _ => *p,
+        })
+        .collect();
+    let vertices: Vec<Vec3> = points.iter().map(|p| *p + Vec3::new(0.001, 0.0005, -0.001)).collect();
+    let in_storage = |storage: ListStorage| {
+        let mut samples = SampleSet::new(points.clone(), Vec::new()).expect("samples");
+        samples.store_lists(storage);
+        let around = RestGeometry::new(&samples);
+        let mut kept = Vec::new();
+        super::kept_geometry::pack(&around, &mut kept).expect("bytes");
+        let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+        let expected: Vec<u32> = field.expected_error().into_iter().map(f32::to_bits).collect();
+        let carried = carried(&field, &vertices).into_iter().map(|p| p.to_array().map(f32::to_bits));
+        (kept, expected, carried.collect::<Vec<_>>())
+    };
+    let in_files = in_storage(ListStorage::Files(folder.path().to_owned()));
+    assert!(in_files == in_storage(ListStorage::Memory));
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+}
+
+#[test]
 fn vertices_in_no_order_go_where_they_go_in_order() {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
     let around = RestGeometry::new(&set);
@@ -260,7 +292,7 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     let places: Vec<DVec3> = set.positions.iter().map(|p| to(*p)).collect();
     let deformed = DeformedPositions::new(&LOCAL, &set.positions, &places);
     assert!(!deformed.is_unshifted());
-    let field = DeformationField::of(&around, &deformed, Method::BlendedJets);
+    let field = DeformationField::from_deformed(&around, &deformed, Method::BlendedJets);
     let rest: Vec<DVec3> = patch(220).map(|p| p.as_dvec3()).collect();
     let carried = |rest: &[DVec3]| {
         let mut positions = rest.to_vec();

@@ -57,10 +57,10 @@ pub struct Unresolved([f32; TERMS]);
 impl Unresolved {
     /// Length of the error at `d` from the sample.
     pub fn length(&self, d: Vec3) -> f32 {
-        self.at(d).abs()
+        self.signed_length(d).abs()
     }
 
-    fn at(&self, d: Vec3) -> f32 {
+    fn signed_length(&self, d: Vec3) -> f32 {
         let Vec3 { x, y, z } = d;
         let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;
         (a + xx * x + xy * y + xz * z) * x + (b + yy * y + yz * z) * y + (c + zz * z) * z
@@ -129,7 +129,7 @@ impl Across {
         let alias = |j: &u32| {
             let (d, second) = (positions[*j as usize] - positions[i], expansions[*j as usize].second());
             let difference = std::array::from_fn(|term| second[term] - own[term]);
-            hermite(d.length() / radius) * self.response.at(d) * product(difference, d, d) / 3.0
+            hermite(d.length() / radius) * self.response.signed_length(d) * product(difference, d, d) / 3.0
         };
         let sum: Vec3 = near.iter().map(alias).sum();
         (self.weight * sum.length()).min(self.most)

@@ -84,7 +84,7 @@ impl ClusteredFile {
             return Err(refused(path, "has clusters of another model, or for other samples"));
         }
         if !file.cells.iter().all(|cell| cell.tree.is_sound()) {
-            return Err(damaged("a tree is none"));
+            return Err(damaged("a tree is malformed"));
         }
         file.mark = mark_of(&bytes);
         Ok(file)

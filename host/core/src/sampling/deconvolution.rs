@@ -5,6 +5,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use simod_model::long_list::ListStorage;
 
 use super::heights::{Height, RING, heights};
 use super::kd_tree::KdTree;
@@ -50,7 +51,7 @@ pub fn deconvolved(
     if positions.len() <= RING || !variances.iter().any(|variance| variance.is_finite()) {
         return None;
     }
-    let graph = NeighbourGraph::of_points(&KdTree::new(positions), NEIGHBOURS);
+    let graph = NeighbourGraph::of_points(&KdTree::new(positions), NEIGHBOURS, &ListStorage::Memory);
     let heights = heights(positions, &graph);
     let moved = |i: usize| {
         let is_of_two = |j: &&u32| heights[**j as usize].is_of_two;

@@ -86,7 +86,7 @@ impl CutTree {
         let mut missing = 1usize;
         for children in &self.children {
             if missing == 0 || *children == 1 || *children > 8 {
-                return Some("a tree is none");
+                return Some("a tree is malformed");
             }
             missing = missing - 1 + *children as usize;
         }

@@ -170,7 +170,9 @@ pub fn sample_counted(
     model.keep_positions(Some(folder));
     let sampled = sample_kept(model, sampling, counted.as_deref(), folder, progress);
     model.keep_positions(None);
-    sampled
+    let mut sampled = sampled?;
+    sampled.samples.store_lists(sampled.samples.usual_storage(folder));
+    Ok(sampled)
 }
 
 /// Samples a model that may keep its positions for the second reading.

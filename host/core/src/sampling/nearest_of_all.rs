@@ -6,11 +6,12 @@
 //! farther than that and the way between both. Within a leaf, the distance is guessed by the point before,
 //! and counted: so few points are sorted that are not wanted.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::long_list::{ListStorage, LongList};
 use simod_model::memory;
 
 use super::kd_tree::{Found, KdTree, LEAF, Leaf, PointBox};
@@ -41,9 +42,10 @@ impl KdTree {
     /// thread pool.
     ///
     /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
-    pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
+    pub fn nearest_others_of_all(&self, k: usize, storage: &ListStorage) -> LongList<u32> {
         // The system's own zeros: the threads that fill them touch them first.
-        let lists: Vec<AtomicU32> = memory::zeros(k * self.len());
+        let mut all = LongList::zeros(k * self.len(), storage);
+        let lists = memory::atomics(&mut all);
         if k > 0 {
             let batch = || Batch {
                 tree: self,
@@ -56,13 +58,14 @@ impl KdTree {
                 found: Vec::new(),
             };
             (0..self.leaves.len()).into_par_iter().for_each_init(batch, |batch, leaf| {
+                storage.gone_through(size_of::<u32>() * k * LEAF);
                 batch.look_up(leaf, |point, found| {
                     let list = &lists[point as usize * k..];
                     list.iter().zip(found).for_each(|(to, found)| to.store(*found as u32, Ordering::Relaxed));
                 });
             });
         }
-        lists.into_iter().map(AtomicU32::into_inner).collect()
+        all
     }
 }
 
@@ -268,7 +271,7 @@ mod tests {
         fn those_of_all_are_those_of_each(points in points(), k in 0..40usize) {
             let k = k.min(points.len() - 1);
             let tree = KdTree::new(&points);
-            let all = tree.nearest_others_of_all(k);
+            let all = tree.nearest_others_of_all(k, &ListStorage::Memory);
             let mut found = vec![0; k];
             for (i, p) in points.iter().enumerate() {
                 tree.nearest_others(*p, i as u32, &mut found);

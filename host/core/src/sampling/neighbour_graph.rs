@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
+use simod_model::long_list::{ListStorage, LongList};
 
 use super::kd_tree::KdTree;
 
@@ -12,18 +13,18 @@ use super::kd_tree::KdTree;
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct NeighbourGraph {
     k: usize,
-    flat: Arc<Vec<u32>>,
+    flat: Arc<LongList<u32>>,
 }
 
 impl NeighbourGraph {
     /// The graph of points to `k` neighbours, if there are as many.
-    pub(super) fn of_points(tree: &KdTree, k: usize) -> Self {
+    pub(super) fn of_points(tree: &KdTree, k: usize, storage: &ListStorage) -> Self {
         let k = k.min(tree.len() - 1);
-        Self { k, flat: Arc::new(tree.nearest_others_of_all(k)) }
+        Self { k, flat: Arc::new(tree.nearest_others_of_all(k, storage)) }
     }
 
     /// A graph that was found out before: `k` neighbours of each sample, one after the other.
-    pub(crate) fn known(k: usize, flat: Vec<u32>) -> Self {
+    pub(crate) fn known(k: usize, flat: LongList<u32>) -> Self {
         Self { k, flat: Arc::new(flat) }
     }
 
@@ -31,7 +32,7 @@ impl NeighbourGraph {
     pub(crate) fn is_valid(&self, samples: usize) -> bool {
         self.k < samples
             && self.flat.len() == self.k * samples
-            && self.flat.iter().all(|j| (*j as usize) < samples)
+            && self.flat.pass().all(|j| (*j as usize) < samples)
     }
 
     /// The neighbours of sample `i`, nearest first.

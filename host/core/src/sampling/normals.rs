@@ -224,6 +224,8 @@ impl OrientedParts {
 
 #[cfg(test)]
 mod tests {
+    use simod_model::long_list::ListStorage;
+
     use super::super::SampleSet;
     use super::super::kd_tree::KdTree;
     use super::*;
@@ -267,7 +269,7 @@ mod tests {
     #[test]
     fn planes_have_the_same_bits_with_any_vectors() {
         let points = sphere(501, Vec3::ZERO);
-        let graph = NeighbourGraph::of_points(&KdTree::new(&points), NEIGHBOURS);
+        let graph = NeighbourGraph::of_points(&KdTree::new(&points), NEIGHBOURS, &ListStorage::Memory);
         let near: Near<'_> = &|i| graph.nearest_to(i);
         let found = |by: &dyn Fn(PlaneNormals<'_, Near<'_>>)| bits(&points, near, by);
         let one_by_one = found(&|planes| planes.with_simd(pulp::Scalar::new()));

@@ -2,11 +2,13 @@
 //! need.
 
 use std::any::Any;
+use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use simod_model::{Error, Result};
+use simod_model::long_list::ListStorage;
+use simod_model::{Error, Result, memory};
 
 use super::kd_tree::KdTree;
 use super::neighbour_graph::NeighbourGraph;
@@ -23,6 +25,13 @@ const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
+
+/// Bytes of a sample's entries in the long lists of a reconstruction, about.
+const LISTED: u64 = 600;
+
+/// Most bytes that the long lists of a reconstruction take in memory: beyond that they are in temporary
+/// files.
+const MOST_LISTED: u64 = 1 << 30;
 
 /// Largest ratio of the extent of a sample that few others have for a neighbour to the median spacing around
 /// it.
@@ -46,6 +55,7 @@ pub struct SampleSet {
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
     rest: OnceLock<Arc<dyn Any + Send + Sync>>,
+    storage: ListStorage,
 }
 
 /// Neighbours of each sample and its spacing: found when they are first asked for, as writing the samples
@@ -83,6 +93,7 @@ impl SampleSet {
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
+            storage: ListStorage::Memory,
         })
     }
 
@@ -148,6 +159,28 @@ impl SampleSet {
         self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
     }
 
+    /// Place of the long lists that are found of these samples from now on.
+    pub fn storage(&self) -> &ListStorage {
+        &self.storage
+    }
+
+    /// Place of the long lists of this set where a reconstruction needs them: memory, as long as they take no
+    /// more than 1 GiB and an eighth of the machine's memory; otherwise temporary files in `folder`.
+    pub fn usual_storage(&self, folder: &Path) -> ListStorage {
+        let most = (memory::of_machine() / 8).min(MOST_LISTED);
+        ListStorage::for_bytes(LISTED * self.len() as u64, most, folder)
+    }
+
+    /// Sets the place of the long lists that are found from now on, whose values do not depend on it.
+    pub fn store_lists(&mut self, storage: ListStorage) {
+        self.storage = storage;
+    }
+
+    /// Another set of samples, whose long lists will be where those of these are.
+    pub(crate) fn stored_alike(&self, other: Self) -> Self {
+        Self { storage: self.storage.clone(), ..other }
+    }
+
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -177,7 +210,7 @@ impl SampleSet {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
-        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
+        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph, &self.storage));
         true
     }
 
@@ -288,13 +321,14 @@ impl SampleSet {
 
     #[inline]
     fn neighbourhoods(&self) -> &Neighbourhoods {
-        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, self.graph_to(NEIGHBOURS)))
+        self.neighbourhoods
+            .get_or_init(|| Neighbourhoods::new(&self.positions, self.graph_to(NEIGHBOURS), &self.storage))
     }
 
     /// The graph of all samples to at most `count` nearest neighbours. Takes jobs of the thread pool.
     pub(crate) fn graph_to(&self, count: usize) -> NeighbourGraph {
         self.prepare_tree();
-        NeighbourGraph::of_points(self.tree(), count)
+        NeighbourGraph::of_points(self.tree(), count, &self.storage)
     }
 
     /// Builds now, with jobs of the thread pool, the tree in which the nearest samples are looked up.
@@ -322,15 +356,18 @@ impl SampleSet {
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
+            storage: self.storage.clone(),
         }
     }
 }
 
 impl Neighbourhoods {
-    fn new(positions: &[Vec3], neighbours: NeighbourGraph) -> Self {
+    fn new(positions: &[Vec3], neighbours: NeighbourGraph, storage: &ListStorage) -> Self {
+        let seen = |_: &usize| storage.gone_through(size_of::<u32>() * neighbours.k());
         let near = SPACING_NEIGHBOURS.min(neighbours.k());
         let spacing = (0..positions.len())
             .into_par_iter()
+            .inspect(seen)
             .map(|i| {
                 let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
                 neighbours.nearest_to(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32

@@ -9,8 +9,8 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use glam::{DVec2, DVec3};
 
 use super::super::SurfaceVertex;
-use super::super::fade::smoothstep;
 use super::tube::{Leg, Tube};
+use simod_geometry::smoothstep;
 
 /// Length over which tubes flow into each other, and the stem into its flat foot.
 const JOINT: f64 = 0.04;

@@ -262,7 +262,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
             "Float" => match node.attribute("precision") {
                 None | Some("double") => Ok(NumberEncoding::Double),
                 Some("single") => Ok(NumberEncoding::Single),
-                Some(other) => Err(self.wrong(node, format!("a Float of precision {other:?}"))),
+                Some(other) => Err(self.wrong(node, format!("the precision of a Float is {other:?}"))),
             },
             "Integer" | "ScaledInteger" => {
                 let min = self.attribute(node, "minimum")?.unwrap_or(i64::MIN);
@@ -304,7 +304,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         let found = ScanPose::new(rotation, DVec3::new(x, y, z));
         found.ok_or_else(|| {
             let what = format!(
-                "the pose of {scan} is none: its rotation is {rotation:?} (w, x, y, z), its translation {:?}",
+                "the pose of {scan} is no rigid motion: its rotation is {rotation:?} (w, x, y, z), its translation {:?}",
                 [x, y, z]
             );
             self.wrong(pose, what).hinting("register the scan once more, or export it without a pose")

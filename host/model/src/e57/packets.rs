@@ -183,7 +183,7 @@ impl<'a> PacketWalk<'a, '_> {
         let number = |at| u64::from_le_bytes(bytes_at(head, at));
         let (id, length, first) = (head[0], number(8), number(16));
         if id != 1 {
-            return Err(wrong(start, format_args!("no section of points, but of type {id}")));
+            return Err(wrong(start, format_args!("the section is of type {id}, and not one of points")));
         }
         let end = start.checked_add(length).filter(|end| *end >= start + HEAD);
         let all = self.source.len() / super::pages::PAGE * super::pages::PAYLOAD;
@@ -217,7 +217,7 @@ impl<'a> PacketWalk<'a, '_> {
         let kind = head.first().copied().unwrap_or(u8::MAX);
         let length = u64::from(u16::from_le_bytes(bytes_at(head, 2))) + 1;
         if length % 4 != 0 || at + length > end {
-            return Err(wrong(at, format_args!("a packet of {length} bytes, which goes beyond its section")));
+            return Err(wrong(at, format_args!("a packet has {length} bytes, and goes beyond its section")));
         }
         match kind {
             1 => {
@@ -237,12 +237,12 @@ impl<'a> PacketWalk<'a, '_> {
                     begin += bytes;
                 }
                 if begin > length {
-                    let what = format_args!("a packet of {length} bytes with streams of {begin} bytes");
+                    let what = format_args!("a packet of {length} bytes has streams of {begin} bytes");
                     return Err(wrong(at, what));
                 }
             }
             0 | 2 => {}
-            other => return Err(wrong(at, format_args!("a packet of type {other}"))),
+            other => return Err(wrong(at, format_args!("a packet has the type {other}"))),
         }
         place.at += length;
         Ok(true)

@@ -10,7 +10,10 @@ fn place(name: &str, attributes: &[Attribute]) -> Result<Option<usize>, String> 
     let Some(place) = attributes.iter().position(|a| a.name == name) else { return Ok(None) };
     match attributes[place].kind {
         Type::F32 | Type::F64 => Ok(Some(place)),
-        kind => Err(format!("{name} is of type {}, and what turns has to be float or double", kind.name())),
+        kind => Err(format!(
+            "{name} is of type {}, and vectors that turn have to be float or double",
+            kind.name()
+        )),
     }
 }
 

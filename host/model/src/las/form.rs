@@ -373,8 +373,25 @@ impl LasForm {
             leaves_out: content.how.lossy,
             left_out: AtomicU64::new(0),
         };
+        this.add_attributes(content, colors, losses)?;
+        if is_compressed {
+            let extra = this.record - RECORD_BYTES[usize::from(format)];
+            let laszip = Laszip::anew(format, extra as u16, BLOCK);
+            this.laszip = Some(laszip.map_err(|e| Error::unwritable("compressed points", e))?);
+        }
+        Ok(this)
+    }
+
+    /// Has all attributes written: those that have a place in a record there, and the others as extra bytes.
+    fn add_attributes(
+        &mut self,
+        content: &ConversionInput<'_>,
+        colors: Option<Colors>,
+        losses: &mut Vec<String>,
+    ) -> Result<()> {
+        let info = content.info();
         let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
-        let places = places(&info.attributes, format, colors.zip(scale));
+        let places = places(&info.attributes, self.format, colors.zip(scale));
         let remarks = remarks(content, losses);
         let found = found_numbers(content.model, &places, &remarks)?;
         for (from, (attribute, place)) in info.attributes.iter().zip(places).enumerate() {
@@ -382,19 +399,14 @@ impl LasForm {
             let place =
                 place.map(|(at, place)| (at, for_intensity(attribute, place, &found[from], intensities)));
             match place {
-                Some(place) => this.add_attribute(from, attribute, place, &found[from], losses),
+                Some(place) => self.add_attribute(from, attribute, place, &found[from], losses),
                 None => {
                     let remark = remarks[from].clone().unwrap_or_default();
-                    this.add_extra(from, attribute, (remark, &found[from]), losses);
+                    self.add_extra(from, attribute, (remark, &found[from]), losses);
                 }
             }
         }
-        if is_compressed {
-            let extra = this.record - RECORD_BYTES[usize::from(format)];
-            let laszip = Laszip::anew(format, extra as u16, BLOCK);
-            this.laszip = Some(laszip.map_err(|e| Error::unwritable("compressed points", e))?);
-        }
-        Ok(this)
+        Ok(())
     }
 
     /// Adds a field for an attribute that has a place in a record.
@@ -807,12 +819,12 @@ fn integers(content: &ConversionInput<'_>) -> Result<ScaledIntegers> {
     if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
         return Ok(integers);
     }
-    let wrong = |what: &str| Err(Error::argument(what, "give a positive length"));
+    let wrong = |what: &str, hint: &str| Err(Error::argument(what, hint));
     if how.step.is_some_and(|step| !(step.is_finite() && step > 0.0)) {
-        return wrong("the step between positions is none");
+        return wrong("the step between positions is not above 0", "give a positive length");
     }
     if how.offset.is_some_and(|offset| !offset.is_finite()) {
-        return wrong("the origin of positions is none");
+        return wrong("the origin of positions is not finite", "give three numbers");
     }
     let mut bounds = Bounds::default();
     if how.step.is_none() || how.offset.is_none() {

@@ -195,7 +195,7 @@ impl Model for LasModel {
         if let Some(place) = following.places().iter().find(|place| !self.places.is_writable(**place)) {
             let name = &self.places.attributes[*place].name;
             let what = format!(
-                "{}: {name} is a whole number of 64 bits, and what turns has to be float, double or scaled",
+                "{}: {name} is a whole number of 64 bits, and vectors that turn have to be float, double or scaled",
                 self.source.path().display()
             );
             return Err(Error::argument(what, "leave it out"));

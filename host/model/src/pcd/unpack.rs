@@ -98,7 +98,7 @@ impl Unpacker<'_> {
                 }
                 let back = ((control & 31) << 8) + usize::from(self.must()?) + 1;
                 let Some(from) = self.output.len().checked_sub(back) else {
-                    return Err(self.damaged("a copy of what comes before the first point"));
+                    return Err(self.damaged("the compressed points copy bytes from before the first one"));
                 };
                 // A copy may overlap the bytes that it makes.
                 for i in from..from + length + 2 {
@@ -106,7 +106,7 @@ impl Unpacker<'_> {
                 }
             }
             if self.written + self.output.len() as u64 > self.limit {
-                return Err(self.damaged("more bytes of points than it says"));
+                return Err(self.damaged("the compressed points have more bytes than their head says"));
             }
             if self.output.len() > BLOCK + WINDOW {
                 self.flush(WINDOW)?;
@@ -114,9 +114,10 @@ impl Unpacker<'_> {
         }
         self.flush(0)?;
         if self.written < self.limit {
-            return Err(
-                self.damaged(&format!("{} bytes of points, but it says {}", self.written, self.limit))
-            );
+            return Err(self.damaged(&format!(
+                "the compressed points have {} bytes, but their head says {}",
+                self.written, self.limit
+            )));
         }
         Ok(())
     }

@@ -81,20 +81,19 @@ pub(crate) fn is_gzip(start: &[u8]) -> bool {
 pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let damaged = |what: &str| source.malformed(what, HINT);
     let mut header = [0; HEADER as usize];
-    let reader = || GzDecoder::new(SourceReader { source: &source, at: 0 });
-    let unknown = |e| damaged("gzip, but nothing that is known in it").because(e);
-    reader().read_exact(&mut header).map_err(unknown)?;
+    let unknown = |e| damaged("it is compressed by gzip, and its content is of no known format").because(e);
+    reader(&source).read_exact(&mut header).map_err(unknown)?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let [version, count] = [word(4), word(8)];
     let (degree, fraction) = (usize::from(header[12]), i32::from(header[13]));
     if header[..4] != MAGIC {
-        return Err(damaged("gzip, but no SPZ in it"));
+        return Err(damaged("it is compressed by gzip, and its content is no SPZ"));
     }
     if !(2..=3).contains(&version) {
-        return Err(damaged(&format!("SPZ of version {version}, and 2 and 3 are known")));
+        return Err(damaged(&format!("its SPZ is of version {version}, and versions 2 and 3 are known")));
     }
     if degree > 3 || fraction > 23 {
-        let what = format!("SPZ with harmonics of degree {degree} and {fraction} bits of fractions");
+        let what = format!("its SPZ has harmonics of degree {degree} and {fraction} bits of fractions");
         return Err(damaged(&what));
     }
     let harmonics = 3 * ((degree + 1).pow(2) - 1);
@@ -102,16 +101,37 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
     let each: usize = sizes.iter().sum();
     let bytes = HEADER + u64::from(count) * each as u64;
     if bytes / MOST_PACKED > source.len() {
-        return Err(damaged(&format!("says {count} splats, but has {} bytes in all", source.len())));
+        return Err(damaged(&format!(
+            "its header says {count} splats, but the file has {} bytes in all",
+            source.len()
+        )));
     }
+    let unpacked = unpack(&source, (count, bytes), making)?;
+    let mut info = info(format!("SPZ {version}"), &source, u64::from(count), each as u64, harmonics);
+    let unit = 2f64.powi(fraction);
+    info.step = DVec3::splat(1.0 / unit);
+    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
+    Ok(Box::new(Spz { source, unpacked, info, following, sizes, unit }))
+}
+
+/// The bytes of a file that is compressed by gzip.
+fn reader(source: &SourceFile) -> GzDecoder<SourceReader<'_>> {
+    GzDecoder::new(SourceReader { source, at: 0 })
+}
+
+/// Unpacks so many splats, of so many bytes with the header, into the cache.
+fn unpack(source: &SourceFile, (count, bytes): (u32, u64), making: &Making<'_>) -> Result<SourceFile> {
+    let damaged = |what: &str| source.malformed(what, HINT);
     let need = CachedContent { what: "its splats are unpacked", bytes: bytes..=bytes, meanwhile: 0 };
-    let unpacked = making.cache.get(&source, &need, making.progress, |to| {
-        let (mut reader, mut block, mut at) = (reader(), vec![0; BLOCK], 0);
+    making.cache.get(source, &need, making.progress, |to| {
+        let (mut reader, mut block, mut at) = (reader(source), vec![0; BLOCK], 0);
         loop {
             making.progress.check()?;
-            let read = reader.read(&mut block).map_err(|e| damaged(&format!("what gzip has of it: {e}")))?;
+            let read = reader.read(&mut block);
+            let read = read.map_err(|e| damaged(&format!("its compressed bytes are damaged: {e}")))?;
             if at + read as u64 > bytes || (read == 0 && at < bytes) {
-                let what = format!("says {count} splats, but has another number of bytes for them");
+                let what =
+                    format!("its header says {count} splats, but the bytes for them are of another number");
                 return Err(damaged(&what));
             }
             if read == 0 {
@@ -120,12 +140,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
             to.write_at(&block[..read], at)?;
             at += read as u64;
         }
-    })?;
-    let mut info = info(format!("SPZ {version}"), &source, u64::from(count), each as u64, harmonics);
-    let unit = 2f64.powi(fraction);
-    info.step = DVec3::splat(1.0 / unit);
-    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
-    Ok(Box::new(Spz { source, unpacked, info, following, sizes, unit }))
+    })
 }
 
 struct SourceReader<'a> {
@@ -367,7 +382,7 @@ impl Model for Spz {
     ) -> Result<()> {
         if how.pieces_done > 0 {
             let what = format!(
-                "{}: what gzip compresses as a whole cannot be gone on with",
+                "{}: an SPZ file is compressed as a whole, and cannot be gone on with",
                 self.source.path().display()
             );
             return Err(Error::argument(what, "leave out --resume, or write a .ply file"));
@@ -408,7 +423,7 @@ impl Output for CompressedOutput<'_> {
     }
 
     fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
-        Err(io::Error::new(io::ErrorKind::Unsupported, "what was compressed cannot be replaced"))
+        Err(io::Error::new(io::ErrorKind::Unsupported, "compressed bytes cannot be replaced"))
     }
 
     fn finish(&mut self) -> io::Result<()> {

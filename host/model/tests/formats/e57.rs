@@ -874,7 +874,7 @@ fn what_is_wrong_is_named() {
     let said = "scan 1 (Hall) is said to have 99999 points, but of cartesianX there are";
     assert!(bad("recordCount=\"20000\"", "recordCount=\"99999\"").starts_with(said));
     assert!(bad("</data3D>", "<!data3D>").contains("the XML that describes the scans cannot be read"));
-    assert!(bad("fileOffset=\"48\"", "fileOffset=\"52\"").contains("at byte 52: no section of points"));
+    assert!(bad("fileOffset=\"48\"", "fileOffset=\"52\"").contains("at byte 52: the section is of type"));
     assert!(
         bad("minimum=\"-100000\"", "minimum=\"9999999\"")
             .contains("cartesianX has numbers from 9999999 to 1234567")
@@ -886,7 +886,7 @@ fn what_is_wrong_is_named() {
     let error = go_over(&make(&scans, At::End, |left| left), ".e57").unwrap_err();
     let text = error.to_string();
     assert!(text.contains("line ") && text.contains("the pose of scan 3"), "{text}");
-    assert!(text.contains("is none: its rotation is [0.0, 0.0, 0.0, 0.0]"), "{text}");
+    assert!(text.contains("is no rigid motion: its rotation is [0.0, 0.0, 0.0, 0.0]"), "{text}");
     assert!(error.hint().starts_with("register the scan once more"), "{}", error.hint());
 }
 

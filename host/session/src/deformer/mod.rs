@@ -16,7 +16,7 @@ mod registers;
 
 use crate::params::{check_description, check_migration};
 use rayon::prelude::*;
-use simod_model::{Error, Progress, Result};
+use simod_model::{Error, ErrorMark, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
     PrepareInput, Samples, Scratch, Setting, State,
@@ -371,7 +371,7 @@ impl Plugin {
         let failed = Error::plugin(what, hint);
         // Mistakes against the C interface have any code, and the host's own advice.
         if error.code == ErrorCode::PANICKED || error.hint.as_str() == TELL_AUTHOR {
-            failed.because(PluginBug)
+            failed.marked(ErrorMark::PluginBug)
         } else {
             failed
         }
@@ -509,26 +509,7 @@ pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its auth
 
 /// A mistake of a plugin, which is named.
 pub(crate) fn plugins_bug(what: impl Into<String>) -> Error {
-    Error::plugin(what, TELL_AUTHOR).because(PluginBug)
-}
-
-/// The source of errors that a plugin's mistake led to, as [`is_plugins_bug`] finds it.
-#[derive(Debug)]
-struct PluginBug;
-
-impl std::fmt::Display for PluginBug {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("the plugin breaks a rule")
-    }
-}
-
-impl std::error::Error for PluginBug {}
-
-/// Whether an error is certainly a mistake in a plugin: a panic, or an answer that breaks a rule of the
-/// interface. Other errors of plugins are refusals of what they were given, or may have other causes too, as
-/// positions that are not finite have.
-pub fn is_plugins_bug(error: &Error) -> bool {
-    std::error::Error::source(error).is_some_and(|source| source.is::<PluginBug>())
+    Error::plugin(what, TELL_AUTHOR).marked(ErrorMark::PluginBug)
 }
 
 fn refused(path: &Path, what: &str) -> Error {

@@ -112,7 +112,7 @@ impl PreviewThread {
         let report = if *positions == *sampled.samples.positions {
             detail::stream(&sampled, model.as_ref(), &chosen, None, progress, each)?
         } else {
-            let field = DeformationField::of(around(), &deformed, Method::default());
+            let field = DeformationField::from_deformed(around(), &deformed, Method::default());
             progress.check()?;
             detail::stream(&sampled, model.as_ref(), &chosen, Some(&field), progress, each)?
         };

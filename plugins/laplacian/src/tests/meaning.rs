@@ -87,7 +87,7 @@ fn a_common_part_of_motions_makes_no_difference() {
 }
 
 fn compose(a: &Affine, b: &Affine) -> Affine {
-    let product = crate::constraints::affine(a) * crate::constraints::affine(b);
+    let product = simod_geometry::affine_map(&a.rows) * simod_geometry::affine_map(&b.rows);
     let (m, t) = (product.matrix3, product.translation);
     Affine { rows: std::array::from_fn(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]]) }
 }

@@ -38,7 +38,7 @@ const HOW: [(&str, &str); 24] = [
     ("nan-at-bounds", "Writes what is no number when it shall shift by 2"),
 ];
 
-/// What goes wrong: known by the descriptor too where the environment says it.
+/// Kind of misbehaviour that the environment asks for, which the descriptor knows as well.
 fn from_environment() -> Option<String> {
     std::env::var("SIMOD_MISBEHAVE").ok()
 }
@@ -47,7 +47,7 @@ fn how(params: Params<'_>) -> PluginResult<String> {
     from_environment().map_or_else(|| params.choice("how").map(str::to_owned), Ok)
 }
 
-/// What it prepared: how to misbehave, and how far it shifts.
+/// Prepared state: the kind of misbehaviour, and the length of the shift.
 struct Prepared {
     how: String,
     by: f64,

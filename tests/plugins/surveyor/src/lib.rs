@@ -39,7 +39,7 @@ type Other = Vec<([f64; 3], [f32; 3], Option<u64>)>;
 /// Most points that are taken of the other model.
 const POINTS: u32 = 300;
 
-/// What the other model has, as promised.
+/// Points of the other model, checked to be as the interface promises.
 fn other(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Other> {
     let Some(other) = input.other_model("other") else { return Ok(Vec::new()) };
     let (points, normals, ids) = (other.positions(), other.normals(), other.ids());
