@@ -186,7 +186,8 @@ impl<'a, T: Stored> Below<'a, T> {
     pub fn transposed_times(&self, known: &Sides, sums: &mut Sides) {
         let height = self.height();
         let [x, y, z] = known.each_ref().map(|side| &side[..height]);
-        for j in 0..self.columns {
+        // From the last column to the first, as fronts are gone through: memory is read in one direction.
+        for j in (0..self.columns).rev() {
             let column = &self.column(j)[..height];
             let (mut a, mut b, mut c) =
                 (KernelLanes::default(), KernelLanes::default(), KernelLanes::default());

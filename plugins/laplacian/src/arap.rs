@@ -6,14 +6,13 @@
 //! displacements.
 
 use crate::cells::{NodeNeighbourhoods, covariances};
-use crate::coarse::Prolongation;
 use crate::constraints::{OwnMotions, Soft};
-use crate::descent::Past;
+use crate::descent::{Past, dot};
+use crate::levers::GroupLevers;
 use crate::problem::Problem;
 use glam::{DMat3, DVec3};
 use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
-use std::borrow::Cow;
 use std::ops::Range;
 
 /// Nodes at once on one thread.
@@ -54,9 +53,9 @@ pub struct TurningNodes<'a> {
     pub cells: &'a NodeNeighbourhoods,
     /// Problem that has these nodes.
     pub problem: &'a Problem,
-    /// Prolongation by which the nodes' rotations become those of a finer problem; `None` if the nodes are
-    /// that problem's own.
-    pub groups: Option<&'a Prolongation>,
+    /// Levers by which the nodes' rotations act on a finer problem whose groups they are; `None` if the nodes
+    /// are that problem's own.
+    pub groups: Option<&'a GroupLevers>,
 }
 
 /// Displacements of a level's nodes, and their rotations.
@@ -66,7 +65,7 @@ pub struct LevelPose {
     pub displacements: Vec<DVec3>,
     /// Rotations of the turning nodes.
     pub turns: Vec<DMat3>,
-    /// Means of these rotations at each of the level's nodes whose surroundings are whole.
+    /// Means of these rotations at each of the turning nodes.
     pub blends: Vec<DMat3>,
     /// Covariances of the edges around these nodes when the rotations were fitted last; none before.
     covariances: Vec<DMat3>,
@@ -91,21 +90,25 @@ impl SurfaceLevel {
         let displacements = self.problem.held_displacements(|target, at| motion.displacement(target, at));
         let blends = turning.blend(&turns, host)?;
         let mut pose = LevelPose { displacements, turns, blends, covariances: Vec::new() };
-        self.place(&mut pose, motion, host)?;
+        self.place(&mut pose, turning, motion, host)?;
         Ok(pose)
     }
 
     /// The global step: places the free nodes by the rotations.
-    fn place(&self, pose: &mut LevelPose, motion: &OwnMotions, host: &Host<'_>) -> PluginResult<()> {
+    fn place(
+        &self,
+        pose: &mut LevelPose,
+        turning: TurningNodes<'_>,
+        motion: &OwnMotions,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         let problem = &self.problem;
         let mut sums = vec![DVec3::ZERO; problem.free];
         host.parallel_blocks(&mut sums, TOGETHER, |first, sums| {
             for (i, sum) in (first..).zip(sums) {
-                for e in problem.operators.row(i) {
-                    *sum += pose.blends[e.column] * e.out - e.out;
-                    if e.column >= problem.free {
-                        *sum -= e.stiffness * pose.displacements[e.column];
-                    }
+                *sum = turning.asked(problem, i, &pose.blends);
+                for (column, stiffness) in problem.operators.laplacian(i).filter(|e| e.0 >= problem.free) {
+                    *sum -= stiffness * pose.displacements[column];
                 }
             }
         })?;
@@ -120,7 +123,7 @@ impl SurfaceLevel {
 
     /// The local step: fits the rotations to where the nodes are.
     fn turn(&self, pose: &mut LevelPose, turning: TurningNodes<'_>, host: &Host<'_>) -> PluginResult<()> {
-        pose.covariances = covariances(&self.problem, &pose.displacements, host)?;
+        pose.covariances = turning.covariances(&self.problem, &pose.displacements, host)?;
         turning.fit(&pose.covariances, &mut pose.turns, host)?;
         pose.blends = turning.blend(&pose.turns, host)?;
         Ok(())
@@ -131,32 +134,35 @@ impl SurfaceLevel {
     fn assess(
         &self,
         pose: &LevelPose,
+        turning: TurningNodes<'_>,
         motion: &OwnMotions,
         host: &Host<'_>,
     ) -> PluginResult<(f64, Vec<DVec3>)> {
         let problem = &self.problem;
         let LevelPose { displacements, blends, covariances, .. } = pose;
-        let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
-        host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
-            for (i, (energy, gradient)) in (first..).zip(parts) {
-                // Part of the energy that couples the edges' displacements with the rotations.
-                let change = blends[i] - DMat3::IDENTITY;
-                *energy = -(0..3).map(|axis| change.col(axis).dot(covariances[i].col(axis))).sum::<f64>();
-                if i >= problem.free {
-                    continue;
+        // Part of the energy that couples the edges' displacements with the rotations.
+        let turned = |(blend, covariance): (&DMat3, &DMat3)| -> f64 {
+            let change = *blend - DMat3::IDENTITY;
+            (0..3).map(|axis| change.col(axis).dot(covariance.col(axis))).sum()
+        };
+        let mut energy = -blends.iter().zip(covariances).map(turned).sum::<f64>();
+        let mut gradient = vec![DVec3::ZERO; problem.free];
+        let mut parts: Vec<(f64, &mut [DVec3])> =
+            gradient.chunks_mut(TOGETHER).map(|gradient| (0.0, gradient)).collect();
+        host.parallel_blocks(&mut parts, 1, |first, parts| {
+            for (k, (energy, gradient)) in (first..).zip(parts) {
+                for (i, gradient) in (k * TOGETHER..).zip(&mut **gradient) {
+                    let (mut free, mut held) = (DVec3::ZERO, DVec3::ZERO);
+                    for (column, stiffness) in problem.operators.laplacian(i) {
+                        let laplacian = stiffness * displacements[column];
+                        *(if column < problem.free { &mut free } else { &mut held }) += laplacian;
+                    }
+                    *energy += displacements[i].dot(0.5 * free + held);
+                    *gradient = free + held - turning.asked(problem, i, blends);
                 }
-                let (mut free, mut held, mut turned) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
-                for e in problem.operators.row(i) {
-                    let laplacian = e.stiffness * displacements[e.column];
-                    *(if e.column < problem.free { &mut free } else { &mut held }) += laplacian;
-                    turned += blends[e.column] * e.out - e.out;
-                }
-                *energy += displacements[i].dot(0.5 * free + held);
-                *gradient = free + held - turned;
             }
         })?;
-        let mut energy: f64 = parts.iter().map(|p| p.0).sum();
-        let mut gradient: Vec<DVec3> = parts[..problem.free].iter().map(|p| p.1).collect();
+        energy += parts.iter().map(|part| part.0).sum::<f64>();
         for spring in &self.springs {
             let node = spring.node as usize;
             let off = displacements[node] - motion.displacement(spring.target, problem.rest[node]);
@@ -164,6 +170,13 @@ impl SurfaceLevel {
             gradient[node] += spring.strength * off;
         }
         Ok((energy, gradient))
+    }
+
+    /// Displacements after a part of a step of the free nodes.
+    fn stepped(&self, before: &[DVec3], part: f64, step: &[DVec3]) -> Vec<DVec3> {
+        let (free, held) = before.split_at(self.problem.free);
+        let free = free.iter().zip(step).map(|(d, s)| *d + part * *s);
+        free.chain(held.iter().copied()).collect()
     }
 
     /// Lowers the energy; returns the energies on the way, but for a constant.
@@ -184,27 +197,25 @@ impl SurfaceLevel {
             return Ok(Vec::new());
         }
         self.turn(pose, turning, host)?;
-        let (mut energy, mut gradient) = self.assess(pose, motion, host)?;
+        let (mut energy, mut gradient) = self.assess(pose, turning, motion, host)?;
         let mut energies = vec![energy];
         let mut past = Past::default();
-        for _ in 0..until.steps {
+        for count in 1..=until.steps {
             host.progress(0.0)?;
             let step = past.step(&gradient, &self.factor, host)?;
-            let slope: f64 = step.iter().zip(&gradient).map(|(s, g)| s.dot(*g)).sum();
+            let slope = dot(&step, &gradient, host)?;
             // The rest is found anew.
             let before = LevelPose {
-                displacements: pose.displacements.clone(),
+                displacements: std::mem::take(&mut pose.displacements),
                 turns: pose.turns.clone(),
                 blends: std::mem::take(&mut pose.blends),
                 covariances: Vec::new(),
             };
             let mut part = 1.0;
             let taken = loop {
-                for ((d, b), s) in pose.displacements.iter_mut().zip(&before.displacements).zip(&step) {
-                    *d = *b + part * *s;
-                }
+                pose.displacements = self.stepped(&before.displacements, part, &step);
                 self.turn(pose, turning, host)?;
-                let (lower, next) = self.assess(pose, motion, host)?;
+                let (lower, next) = self.assess(pose, turning, motion, host)?;
                 if lower <= energy + SUFFICIENT * part * slope {
                     break Some((lower, next));
                 }
@@ -224,10 +235,10 @@ impl SurfaceLevel {
             };
             energies.push(lower);
             let moved = part * step.iter().map(|s| s.length()).fold(0.0, f64::max);
-            if moved <= until.tolerance || is_settled(&energies, until.decrease) {
+            if moved <= until.tolerance || is_settled(&energies, until.decrease) || count == until.steps {
                 break;
             }
-            past.push(&step, part, &gradient, &next);
+            past.push(&step, part, &gradient, &next, host)?;
             (energy, gradient) = (lower, next);
         }
         Ok(energies)
@@ -241,21 +252,35 @@ fn is_settled(energies: &[f64], part: f64) -> bool {
 }
 
 impl TurningNodes<'_> {
-    /// Fits rotations to the covariances of a level's nodes.
+    /// Fits rotations to covariances.
     fn fit(&self, covariances: &[DMat3], turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
-        let own = match self.groups {
-            Some(groups) => Cow::Owned(groups.sums(covariances, self.problem.rows, host)?),
-            None => Cow::Borrowed(covariances),
-        };
-        self.cells.fit(self.problem, own, turns, host)
+        self.cells.fit(self.problem, covariances, turns, host)
     }
 
-    /// The rotations' means at a level's nodes.
+    /// Means of the rotations at the turning nodes.
     fn blend(&self, turns: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
-        let own = self.cells.blend(self.problem, turns, host)?;
+        self.cells.blend(self.problem, turns, host)
+    }
+
+    /// Covariances of the turning nodes, given the displacements of a level's nodes.
+    fn covariances(
+        &self,
+        level: &Problem,
+        displacements: &[DVec3],
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<DMat3>> {
         match self.groups {
-            Some(groups) => groups.means(&own, host),
-            None => Ok(own),
+            Some(levers) => levers.covariances(displacements, host),
+            None => covariances(level, displacements, host),
+        }
+    }
+
+    /// Part of the equation of a level's free node that the blended rotations make.
+    #[inline]
+    fn asked(&self, level: &Problem, node: usize, blends: &[DMat3]) -> DVec3 {
+        match self.groups {
+            Some(levers) => levers.asked(node, blends),
+            None => level.operators.row(node).map(|e| blends[e.column] * e.out - e.out).sum(),
         }
     }
 }
@@ -303,10 +328,15 @@ mod tests {
     }
 
     /// The energy of a pose, whichever step was the last.
-    fn energy(level: &SurfaceLevel, pose: &mut LevelPose, motion: &OwnMotions) -> f64 {
+    fn energy(
+        level: &SurfaceLevel,
+        pose: &mut LevelPose,
+        turning: TurningNodes<'_>,
+        motion: &OwnMotions,
+    ) -> f64 {
         let host = Host::new(&());
-        pose.covariances = covariances(&level.problem, &pose.displacements, &host).unwrap();
-        level.assess(pose, motion, &host).unwrap().0
+        pose.covariances = turning.covariances(&level.problem, &pose.displacements, &host).unwrap();
+        level.assess(pose, turning, motion, &host).unwrap().0
     }
 
     #[test]
@@ -317,15 +347,15 @@ mod tests {
             let cells = NodeNeighbourhoods::new(&level.problem, width, &host).unwrap();
             let turning = TurningNodes { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
-            let mut last = energy(&level, &mut pose, &motion);
+            let mut last = energy(&level, &mut pose, turning, &motion);
             for step in 0..60 {
                 for local in [true, false] {
                     if local {
                         level.turn(&mut pose, turning, &host).unwrap();
                     } else {
-                        level.place(&mut pose, &motion, &host).unwrap();
+                        level.place(&mut pose, turning, &motion, &host).unwrap();
                     }
-                    let energy = energy(&level, &mut pose, &motion);
+                    let energy = energy(&level, &mut pose, turning, &motion);
                     // Coefficients are of single precision.
                     assert!(energy <= last + 1e-7, "width {width}, step {step}: {last} to {energy}");
                     last = energy;
@@ -356,12 +386,12 @@ mod tests {
             let turning = TurningNodes { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
             level.turn(&mut pose, turning, &host).unwrap();
-            let (_, gradient) = level.assess(&pose, &motion, &host).unwrap();
+            let (_, gradient) = level.assess(&pose, turning, &motion, &host).unwrap();
             let energy_at = |node: usize, by: DVec3| {
                 let mut pose = pose.clone();
                 pose.displacements[node] += by;
                 level.turn(&mut pose, turning, &host).unwrap();
-                level.assess(&pose, &motion, &host).unwrap().0
+                level.assess(&pose, turning, &motion, &host).unwrap().0
             };
             let largest = gradient.iter().map(|g| g.length()).fold(0.0, f64::max);
             for node in (0..level.problem.free).step_by(17) {

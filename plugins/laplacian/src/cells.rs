@@ -14,7 +14,6 @@ use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
-use std::borrow::Cow;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
@@ -60,23 +59,15 @@ impl NodeNeighbourhoods {
     pub fn fit(
         &self,
         problem: &Problem,
-        mut covariances: Cow<'_, [DMat3]>,
+        covariances: &[DMat3],
         turns: &mut [DMat3],
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let mut own = turns;
-        if let Some(wide) = &self.wide {
-            let spread = covariances.to_mut();
-            spread.truncate(problem.free);
-            wide.solve(spread, host)?;
-            spread.iter_mut().zip(&problem.operators.areas).for_each(|(s, area)| *s *= *area);
-            own = &mut own[..problem.free];
-        }
-        host.parallel_blocks(own, TOGETHER, |first, turns| {
-            for (turn, covariance) in turns.iter_mut().zip(&covariances[first..]) {
-                *turn = rotation::nearest(*covariance, *turn);
-            }
-        })
+        let Some(wide) = &self.wide else { return fit(covariances, turns, host) };
+        let mut spread = covariances[..problem.free].to_vec();
+        wide.solve(&mut spread, host)?;
+        spread.iter_mut().zip(&problem.operators.areas).for_each(|(s, area)| *s *= *area);
+        fit(&spread, &mut turns[..problem.free], host)
     }
 
     /// The mean of the rotations that each node takes part in.
@@ -110,6 +101,15 @@ impl Wide {
         }
         Ok(())
     }
+}
+
+/// Fits each rotation to its covariance, from its former value.
+fn fit(covariances: &[DMat3], turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
+    host.parallel_blocks(turns, TOGETHER, |first, turns| {
+        for (turn, covariance) in turns.iter_mut().zip(&covariances[first..]) {
+            *turn = rotation::nearest(*covariance, *turn);
+        }
+    })
 }
 
 /// Covariances of the edges, before and after, at each node whose surroundings are whole.

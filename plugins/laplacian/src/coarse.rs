@@ -34,15 +34,38 @@ pub struct Lists<T> {
     all: Vec<T>,
 }
 
-impl<T: Copy> Lists<T> {
-    /// The lists, one behind the other.
-    pub fn new(lists: &[Vec<T>]) -> Self {
-        let mut starts = vec![0];
-        starts.extend(lists.iter().scan(0, |end, list| {
-            *end += list.len();
-            Some(*end)
-        }));
-        Self { starts, all: lists.concat() }
+impl<T: Copy + Send> Lists<T> {
+    /// The lists of so many, `together` of them by one thread, each as `list` fills it.
+    pub fn made(
+        count: usize,
+        together: usize,
+        host: &Host<'_>,
+        list: impl Fn(usize, &mut Vec<T>) + Sync,
+    ) -> PluginResult<Self> {
+        let empty = || Self { starts: Vec::new(), all: Vec::new() };
+        let mut blocks: Vec<Self> = (0..count.div_ceil(together)).map(|_| empty()).collect();
+        host.parallel_blocks(&mut blocks, 1, |first, blocks| {
+            let mut made = Vec::new();
+            for (k, block) in (first..).zip(blocks) {
+                for i in k * together..count.min((k + 1) * together) {
+                    made.clear();
+                    list(i, &mut made);
+                    block.starts.push(block.all.len());
+                    block.all.extend_from_slice(&made);
+                }
+            }
+        })?;
+        let mut lists = Self {
+            starts: Vec::with_capacity(count + 1),
+            all: Vec::with_capacity(blocks.iter().map(|block| block.all.len()).sum()),
+        };
+        for block in blocks {
+            let before = lists.all.len();
+            lists.starts.extend(block.starts.iter().map(|start| before + start));
+            lists.all.extend(block.all);
+        }
+        lists.starts.push(lists.all.len());
+        Ok(lists)
     }
 
     /// List number `i`.

@@ -3,10 +3,11 @@
 //! Groups move rigidly, and nodes by the weighted means of the maps of the groups around them. The roughness
 //! of that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
 //! 2007). All is in single precision, as what is shown is, since the time goes to memory. Each node's shares
-//! of the groups are known beforehand, so that no map of a node's own is made.
+//! of the groups are known beforehand (`levers`), so that no map of a node's own is made.
 
-use crate::coarse::{Lists, Prolongation};
+use crate::coarse::Lists;
 use crate::constraints::OwnMotions;
+use crate::levers::{GroupLevers, GroupShare};
 use crate::problem::Problem;
 use glam::{Affine3A, DMat3, DVec3, Mat3A, Vec3A};
 use simod_plugin_api::{Host, PluginResult};
@@ -18,55 +19,38 @@ const TOGETHER: usize = 4096;
 /// triangles.
 const PART: f64 = 0.6;
 
-/// Shares that free nodes have in the coarse likeness' groups, and in the nodes next to them.
+/// Coefficients of the steps that smooth the displacements of free nodes.
 ///
-/// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten, and 8 for
-/// each node next to it; about twice as much while that is made.
+/// Memory: 8 bytes for each node next to a node, and 4 for each node; about twice as much while that is made.
 #[derive(Debug)]
 pub struct Draft {
-    shares: Lists<GroupShare>,
+    /// Factor of the residual of each node's equation in a step: `PART` over the equation's diagonal.
+    parts: Vec<f32>,
     /// Numbers and coefficients of the nodes whose displacements a step takes off at each node, its own
     /// included.
     steps: Lists<(u32, f32)>,
 }
 
-/// Share that a node has in a group's map.
-#[derive(Debug, Clone, Copy)]
-struct GroupShare {
-    group: u32,
-    /// Weight of the group in the node's displacement.
-    weight: f32,
-    /// Factor of the change of the group's rotation in a step.
-    lever: [f32; 3],
-}
-
 impl Draft {
-    /// Shares of the nodes of a problem.
-    fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
-        // Factor of the residual of a node's equation in a step: `PART` over the equation's diagonal.
+    /// Coefficients of the nodes of a problem.
+    fn new(fine: &Problem, host: &Host<'_>) -> PluginResult<Self> {
         let part = |i: usize| {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
             own.filter(|(_, diagonal)| *diagonal > 0.0).map_or(0.0, |(_, diagonal)| PART / diagonal)
         };
-        let shares = lists(fine.free, host, |i| group_shares(fine, prolongation, i, part(i)))?;
-        let steps = lists(fine.free, host, |i| {
+        let steps = Lists::made(fine.free, TOGETHER, host, |i, list| {
             let part = part(i);
-            fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32)).collect()
+            list.extend(fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32)));
         })?;
-        Ok(Self { shares, steps })
+        Ok(Self { parts: (0..fine.free).map(|i| part(i) as f32).collect(), steps })
     }
 
-    /// Shares of the nodes, found when the first draft asks for them: a full deformation needs none.
-    pub fn once<'a>(
-        kept: &'a OnceLock<Self>,
-        fine: &Problem,
-        prolongation: &Prolongation,
-        host: &Host<'_>,
-    ) -> PluginResult<&'a Self> {
+    /// Coefficients of the nodes, found when the first draft asks for them: a full deformation needs none.
+    pub fn once<'a>(kept: &'a OnceLock<Self>, fine: &Problem, host: &Host<'_>) -> PluginResult<&'a Self> {
         match kept.get() {
             Some(draft) => Ok(draft),
             None => {
-                let made = Self::new(fine, prolongation, host)?;
+                let made = Self::new(fine, host)?;
                 Ok(kept.get_or_init(|| made))
             }
         }
@@ -75,7 +59,7 @@ impl Draft {
     /// Displacements of the fine problem's nodes, given those of the coarse one's and their rotations.
     pub fn carry(
         &self,
-        fine: &Problem,
+        (fine, levers): (&Problem, &GroupLevers),
         coarse: &Problem,
         (displacements, turns): (&[DVec3], &[DMat3]),
         motion: &OwnMotions,
@@ -96,7 +80,7 @@ impl Draft {
         let mut carried: Vec<CarriedNode> = placed.iter().map(held).collect();
         host.parallel_blocks(&mut carried[..fine.free], TOGETHER, |first, carried| {
             for (i, node) in (first..).zip(carried) {
-                *node = self.carried(i, fine.rest[i], &maps);
+                *node = carried_node(levers.row(i), fine.rest[i], self.parts[i], &maps);
             }
         })?;
         // Part of each step that the rotations ask for is the same in both steps.
@@ -114,18 +98,6 @@ impl Draft {
         Ok(placed)
     }
 
-    /// A node as the groups' maps carry it.
-    fn carried(&self, node: usize, at: DVec3, maps: &[Affine3A]) -> CarriedNode {
-        let at = at.as_vec3a();
-        let mut carried = CarriedNode { placed: Vec3A::ZERO, asked: Vec3A::ZERO };
-        for GroupShare { group, weight, lever: [x, y, z] } in self.shares.row(node) {
-            let Affine3A { matrix3: m, translation } = &maps[*group as usize];
-            carried.placed += (*m * at + *translation) * *weight;
-            carried.asked += m.x_axis * *x + m.y_axis * *y + m.z_axis * *z;
-        }
-        carried
-    }
-
     /// Displacement of a node by a step of Jacobi's method.
     fn step(&self, node: usize, asked: Vec3A, given: impl Fn(usize) -> Vec3A) -> Vec3A {
         self.steps.row(node).iter().fold(asked, |step, (j, part)| step - given(*j as usize) * *part)
@@ -141,40 +113,15 @@ struct CarriedNode {
     asked: Vec3A,
 }
 
-/// Lists of `count` nodes, each as `list` makes it.
-fn lists<T: Copy + Send>(
-    count: usize,
-    host: &Host<'_>,
-    list: impl Fn(usize) -> Vec<T> + Sync,
-) -> PluginResult<Lists<T>> {
-    let mut all: Vec<Vec<T>> = vec![Vec::new(); count];
-    host.parallel_blocks(&mut all, TOGETHER, |first, all| {
-        (first..).zip(all).for_each(|(i, made)| *made = list(i));
-    })?;
-    Ok(Lists::new(&all))
-}
-
-/// Shares that a node has in all groups around it and around the nodes next to it, where a step makes the
-/// given part of what is lacking.
-fn group_shares(fine: &Problem, prolongation: &Prolongation, node: usize, part: f64) -> Vec<GroupShare> {
-    let mut shares: Vec<GroupShare> = Vec::new();
-    let own = prolongation.groups_of(node);
-    shares.extend(own.iter().map(|(group, weight)| GroupShare {
-        group: *group,
-        weight: *weight,
-        lever: [0.0; 3],
-    }));
-    for e in fine.operators.row(node) {
-        let asked = (part * e.out).as_vec3();
-        for (group, weight) in prolongation.groups_of(e.column) {
-            let known = shares.iter().position(|share| share.group == *group);
-            let at = known.unwrap_or_else(|| {
-                shares.push(GroupShare { group: *group, weight: 0.0, lever: [0.0; 3] });
-                shares.len() - 1
-            });
-            let lever = &mut shares[at].lever;
-            (0..3).for_each(|axis| lever[axis] += asked[axis] * weight);
-        }
+/// A node as the maps of the groups around it carry it; `part` is the factor of its residual in a step.
+fn carried_node(shares: &[GroupShare], at: DVec3, part: f32, maps: &[Affine3A]) -> CarriedNode {
+    let at = at.as_vec3a();
+    let mut carried = CarriedNode { placed: Vec3A::ZERO, asked: Vec3A::ZERO };
+    for GroupShare { group, weight, lever: [x, y, z] } in shares {
+        let Affine3A { matrix3: m, translation } = &maps[*group as usize];
+        carried.placed += (*m * at + *translation) * *weight;
+        carried.asked += m.x_axis * *x + m.y_axis * *y + m.z_axis * *z;
     }
-    shares
+    carried.asked *= part;
+    carried
 }

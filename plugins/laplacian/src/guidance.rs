@@ -6,6 +6,7 @@ use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::OwnMotions;
 use crate::draft::Draft;
 use crate::harmonic::Influence;
+use crate::levers::GroupLevers;
 use crate::problem::Problem;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
@@ -22,7 +23,7 @@ const COARSE_TOLERANCE: f64 = 10.0;
 #[derive(Debug)]
 pub struct Hierarchy {
     fine: SurfaceLevel,
-    coarse: Option<(SurfaceLevel, Prolongation, OnceLock<Draft>)>,
+    coarse: Option<(SurfaceLevel, Prolongation, OnceLock<GroupLevers>, OnceLock<Draft>)>,
     /// The surroundings of the coarsest level's nodes.
     cells: NodeNeighbourhoods,
     /// Whether these surroundings are what turns on the fine level too, as they are wider than its own.
@@ -44,7 +45,7 @@ impl Hierarchy {
         let coarse = match coarsen(&problem, host)? {
             Some((coarse, prolongation)) => {
                 let coarse = SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?;
-                Some((coarse, prolongation, OnceLock::new()))
+                Some((coarse, prolongation, OnceLock::new(), OnceLock::new()))
             }
             None => None,
         };
@@ -64,7 +65,7 @@ impl Hierarchy {
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
         let (fine, cells) = (&self.fine, &self.cells);
-        let Some((coarse, prolongation, draft)) = &self.coarse else {
+        let Some((coarse, prolongation, levers, draft)) = &self.coarse else {
             let turning = TurningNodes { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
             // Steps here are as cheap as coarse ones, and all that there are.
@@ -77,14 +78,15 @@ impl Hierarchy {
         let steps = if is_draft { DRAFT_STEPS } else { COARSE_STEPS };
         let coarsely = DescentEnd { steps, tolerance: COARSE_TOLERANCE * until.tolerance, decrease: 0.0 };
         coarse.relax(&mut pose, turning, motion, coarsely, host)?;
+        let levers = || GroupLevers::once(levers, &fine.problem, coarse.problem.rows, prolongation, host);
         if is_draft {
             let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
-            let draft = Draft::once(draft, &fine.problem, prolongation, host)?;
-            return draft.carry(&fine.problem, &coarse.problem, carried, motion, host);
+            let draft = Draft::once(draft, &fine.problem, host)?;
+            return draft.carry((&fine.problem, levers()?), &coarse.problem, carried, motion, host);
         }
         let own = NodeNeighbourhoods::narrow();
         let (turning, turns) = if self.is_wide {
-            (TurningNodes { groups: Some(prolongation), ..turning }, pose.turns)
+            (TurningNodes { groups: Some(levers()?), ..turning }, pose.turns)
         } else {
             let turns = prolongation.turns(&pose.turns, host)?;
             (TurningNodes { cells: &own, problem: &fine.problem, groups: None }, turns)

@@ -28,6 +28,7 @@ mod followers;
 mod guidance;
 mod harmonic;
 mod intrinsic;
+mod levers;
 mod linear;
 mod operators;
 mod problem;

@@ -12,6 +12,7 @@ use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::OwnMotions;
 use crate::draft::Draft;
 use crate::harmonic::Influence;
+use crate::levers::GroupLevers;
 use crate::linear::BiLaplacian;
 use crate::problem::Problem;
 use crate::rotation;
@@ -26,7 +27,7 @@ const TOGETHER: usize = 1024;
 #[derive(Debug)]
 pub struct Rotated {
     fine: BiLaplacian,
-    coarse: Option<(BiLaplacian, Prolongation, OnceLock<Draft>)>,
+    coarse: Option<(BiLaplacian, Prolongation, OnceLock<GroupLevers>, OnceLock<Draft>)>,
     /// Influence of the handles on the coarsest level.
     influence: Influence,
 }
@@ -62,7 +63,7 @@ impl Rotated {
         let (coarse, influence) = guided(coarse, 0.3..0.35, host)?;
         let coarse = smooth(coarse, 0.35..0.4, host)?;
         let fine = smooth(problem, 0.4..1.0, host)?;
-        Ok(Self { fine, coarse: Some((coarse, prolongation, OnceLock::new())), influence })
+        Ok(Self { fine, coarse: Some((coarse, prolongation, OnceLock::new(), OnceLock::new())), influence })
     }
 
     /// Displacements of all nodes. Those of a draft are the coarse likeness', carried over.
@@ -76,14 +77,16 @@ impl Rotated {
         let mut turns = self.influence.turns(&coarsest.problem, motion);
         let first = solve(coarsest, turns.clone(), motion, host)?;
         fit(&coarsest.problem, &first, &mut turns, host)?;
-        let Some((coarse, prolongation, draft)) = &self.coarse else {
+        let Some((coarse, prolongation, levers, draft)) = &self.coarse else {
             return solve(&self.fine, turns, motion, host);
         };
         if is_draft {
             let displacements = solve(coarse, turns.clone(), motion, host)?;
             let carried = (displacements.as_slice(), turns.as_slice());
-            let draft = Draft::once(draft, &self.fine.problem, prolongation, host)?;
-            return draft.carry(&self.fine.problem, &coarse.problem, carried, motion, host);
+            let fine = &self.fine.problem;
+            let levers = GroupLevers::once(levers, fine, coarse.problem.rows, prolongation, host)?;
+            let draft = Draft::once(draft, fine, host)?;
+            return draft.carry((fine, levers), &coarse.problem, carried, motion, host);
         }
         solve(&self.fine, prolongation.turns(&turns, host)?, motion, host)
     }
