@@ -14,7 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::RestGeometry;
 use super::home_cells::{Finger, HomeOctree};
 use super::lanes::{Lanes, PACKET, triple_from};
-use super::sheets::Sheets;
+use super::sheets::{CROWDED_NEIGHBOURS, Sheets};
 use crate::geometry::sheet_distance;
 use crate::sampling::SampleSet;
 
@@ -89,19 +89,14 @@ impl<'a> Homes<'a> {
     /// The sample, among those around a near one, on whose sheet the point lies; or, if its support does not
     /// reach the point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
-        let away = |i: u32| p - self.samples.positions[i as usize];
-        let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));
-        for i in self.samples.neighbours().nearest_to(near as usize) {
-            let d = away(*i);
-            // No plane makes it less than that.
-            if d.length_squared() >= least {
-                continue;
-            }
-            let distance = sheet_distance(d, self.plane(*i));
-            if distance < least {
-                (best, least) = (*i, distance);
-            }
+        let mut found = (near, sheet_distance(p - self.samples.positions[near as usize], self.plane(near)));
+        let around = self.samples.neighbours().nearest_to(near as usize);
+        around.iter().for_each(|i| self.look_at(*i, p, &mut found));
+        if self.sheets.knows_strangers() && self.may_be_beyond(around, near, p, found.1) {
+            let mut nearest = [0; CROWDED_NEIGHBOURS];
+            self.samples.nearest_ones(p, &mut nearest).for_each(|i| self.look_at(i, p, &mut found));
         }
+        let best = found.0;
         let (mut home, mut least) = (best, self.cells.depth(best, p));
         if least >= 1.0 {
             for i in self.sheets.of_sample(best as usize) {
@@ -112,6 +107,28 @@ impl<'a> Homes<'a> {
             }
         }
         if least < 1.0 { home } else { best }
+    }
+
+    /// Keeps a sample and how far it is from a point in the measure of sheets, if it is nearer than the best.
+    #[inline]
+    fn look_at(&self, sample: u32, p: Vec3, best: &mut (u32, f32)) {
+        let d = p - self.samples.positions[sample as usize];
+        // No plane makes it less than that.
+        if d.length_squared() >= best.1 {
+            return;
+        }
+        let distance = sheet_distance(d, self.plane(sample));
+        if distance < best.1 {
+            *best = (sample, distance);
+        }
+    }
+
+    /// Whether a sample beyond those around a near one may be nearer to a point, in the measure of sheets,
+    /// than `least`: among many sheets these do not reach as far as their supports.
+    fn may_be_beyond(&self, around: &[u32], near: u32, p: Vec3, least: f32) -> bool {
+        let place = |i: u32| self.samples.positions[i as usize];
+        let reach = around.last().map_or(f32::INFINITY, |last| place(near).distance(place(*last)));
+        place(near).distance(p) + least.sqrt() > reach
     }
 
     /// The normal of the surface around a sample, of which the sample's own tells the relief as well.

@@ -2,7 +2,7 @@
 //! model's faces make; and looked up for vertices that are sampled again.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -419,7 +419,10 @@ impl<'a> Tangents<'a> {
         let known = |(i, others): (&u32, &&[u32])| {
             let all = lists.get(*i as usize).unwrap_or_default().iter().chain(*others);
             let distance = |j: &u32| samples.positions[*i as usize].distance(samples.positions[*j as usize]);
-            all.map(distance).fold(0.0, f32::max)
+            let mut all: Vec<f32> = all.map(distance).collect();
+            all.sort_unstable_by(f32::total_cmp);
+            // What is farther than the neighbours that were looked at is of the sample's own sheet alone.
+            all.get(CROWDED_NEIGHBOURS - 1).or(all.last()).copied().unwrap_or_default()
         };
         let known = lists.samples.par_iter().zip(others).map(known).collect();
         let (normals, reach) = lists.samples.par_iter().map(|i| (normal(i), reach(i))).unzip();
@@ -551,6 +554,9 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
         let near = samples.neighbours_about(sample as usize, more * reach, CROWDED_NEIGHBOURS);
         let mut same = ways.connected(sample, &near);
         let others: Vec<u32> = without(&near, &same).collect();
+        if same.len() < SHEET_NEIGHBOURS {
+            same.extend(ways.farther(sample, &near, SHEET_NEIGHBOURS - same.len()));
+        }
         same.truncate(SHEET_NEIGHBOURS);
         (same[..] != near[..same.len()]).then_some(Crowded { sample, reach, near, same, others })
     };
@@ -586,9 +592,9 @@ fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterat
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 
-/// Place in `near` of the last sample of `same`; the length of `near` if `same` is empty.
+/// Place in `near` of the last sample of `same`; the length of `near` if `same` is empty, or ends beyond it.
 fn end_of(near: &[u32], same: &[u32]) -> usize {
-    same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0))
+    same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(near.len()))
 }
 
 /// Samples of `all` without `some` of them, which are in the same order.
@@ -658,6 +664,35 @@ impl<'a> WaySearch<'a> {
         self.join(sample, near);
         while self.shorten() {}
         near.iter().zip(&self.lengths[1..]).filter(|(_, way)| way.is_finite()).map(|(j, _)| *j).collect()
+    }
+
+    /// Samples beyond the last of `near` to which short ways lead from a sample, the nearest first: as many
+    /// as are wanted, by the shortest ways. Where many sheets are near each other, few samples near in space
+    /// are on one of them.
+    fn farther(&self, sample: u32, near: &[u32], wanted: usize) -> Vec<u32> {
+        let distance = |a: u32, b: u32| self.positions[a as usize].distance(self.positions[b as usize]);
+        // Lengths are never less than nothing: their bits have the same order.
+        let mut open = BinaryHeap::from([Reverse((0.0f32.to_bits(), sample))]);
+        let (mut met, mut found) = (HashSet::new(), Vec::new());
+        while found.len() < wanted
+            && met.len() < MOST_MET
+            && let Some(Reverse((bits, node))) = open.pop()
+        {
+            if !met.insert(node) {
+                continue;
+            }
+            let (way, direct) = (f32::from_bits(bits), distance(sample, node));
+            if node != sample && way <= DETOUR * direct && !near.contains(&node) {
+                found.push((direct.to_bits(), node));
+            }
+            self.parted.each_joined(node, |other| {
+                if !met.contains(&other) {
+                    open.push(Reverse(((way + distance(node, other)).to_bits(), other)));
+                }
+            });
+        }
+        found.sort_unstable();
+        found.into_iter().map(|(_, node)| node).collect()
     }
 
     /// Looks up the joins among a sample, which has the first place, and others around it, the nearest first:

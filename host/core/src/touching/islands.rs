@@ -23,6 +23,9 @@ use crate::sampling::placement::FACES_OF_A_JOB;
 /// more of them on the way, while islands are still parts of larger ones.
 const MOST_PER_SAMPLE: usize = 16;
 
+/// Factor by which links may be more where samples are few: each of them may stand for many sheets.
+const MORE_OF_FEW: usize = 4;
+
 /// Links that are not tidied up yet.
 const LINKS_AT_EASE: usize = 1 << 18;
 
@@ -41,8 +44,9 @@ const STEPS: usize = 4;
 
 /// Islands, while faces come.
 ///
-/// Memory: 32 bytes per sample, and 8 for each of at most 32 links per sample, mostly 6; a mapped temporary
-/// file of 4 bytes per vertex, and another one of 8 bytes for each link that finds no room.
+/// Memory: 32 bytes per sample, and 8 for each of at most 32 links per sample, mostly 6, or of a million,
+/// whichever is more; a mapped temporary file of 4 bytes per vertex, and another one of 8 bytes for each link
+/// that finds no room.
 pub struct Islands {
     /// Distance of each vertex behind another one of its island; 0 for the first of an island.
     back: MapMut,
@@ -120,7 +124,7 @@ impl Islands {
             latest: vec![[[0; 2]; LATEST]; samples],
             links: Vec::new(),
             limit: LINKS_AT_EASE,
-            most: MOST_PER_SAMPLE * samples.max(64),
+            most: most_links(samples.max(64)),
             tangled: false,
             spilled: Spilled::new(folder),
             jobs: Vec::new(),
@@ -288,6 +292,20 @@ impl Islands {
         })
     }
 
+    /// Whether there are more links than a graph may have, by the islands as they are now: that they are a
+    /// tangle, or that much of one place is not known to be one.
+    pub fn is_overfull(&mut self) -> bool {
+        let are_too_many =
+            |islands: &Self| islands.links.len() as u64 + islands.spilled.count > islands.most as u64;
+        if !are_too_many(self) {
+            return false;
+        }
+        let mut links = std::mem::take(&mut self.links);
+        self.once_each(&mut links);
+        self.links = links;
+        are_too_many(self)
+    }
+
     /// Graph of all islands that are joined with others, unless they are a tangle: whatever order faces came
     /// in. `sample_of` is the cluster of each vertex.
     ///
@@ -325,6 +343,12 @@ impl Islands {
         self.links = links;
         Ok(graph)
     }
+}
+
+/// Largest number of links of so many samples.
+fn most_links(samples: usize) -> usize {
+    let most = MOST_PER_SAMPLE * samples;
+    most.max((MORE_OF_FEW * most).min(2 * LINKS_AT_EASE))
 }
 
 /// Two vertices of different clusters that are joined, that of the lower cluster first; and this cluster.

@@ -22,7 +22,8 @@ use crate::sampling::finalization::unit;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::ranges::joined;
 
-/// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
+/// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can; in a model
+/// of many layers, one with less than half of what each sheet would have if all were equal.
 const LEAST_PART: f64 = 0.125;
 
 /// Number of samples of which at most one goes to parts that could join clusters nearby: the others are taken
@@ -162,8 +163,13 @@ impl Parting<'_> {
         islands: &mut Islands,
         sample_of: &[u32],
         trees: &[CutTree],
-        welded: bool,
+        mut welded: bool,
     ) -> Result<ClusterParts> {
+        // A soup looks like a tangle if not all vertices at one place were found in passing.
+        if !welded && islands.is_overfull() {
+            self.weld_all(islands, sample_of)?;
+            welded = true;
+        }
         let mut graph = islands.graph(sample_of)?;
         let mut mixed = None;
         if !welded {
@@ -257,22 +263,34 @@ fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
 impl ClusterParts {
     fn new(graph: ClusterGraph, mixed: Vec<(u32, Vec<ClusterSheet>)>) -> Self {
         let mut parts = Self { graph, mixed, wanted: Vec::new(), alone: 0 };
-        let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
-        for (i, (_, sheets)) in parts.mixed.iter().enumerate() {
-            let all: f64 = sheets.iter().map(|sheet| sheet.moments.count()).sum();
-            for (j, sheet) in sheets.iter().enumerate().skip(1) {
-                let is_alone = parts.neighbours(sheet).next().is_none();
-                let count = sheet.moments.count();
-                if count > 0.0 && (is_alone || (count > 1.0 && count >= LEAST_PART * all)) {
-                    wanted.push((!is_alone, i, j));
-                }
-            }
+        // Clusters of many sheets here and there are where small parts meet; all over, they are layers.
+        let mut wanted = parts.large(|sheets| LEAST_PART.min(0.5 / sheets as f64));
+        if wanted.len() <= parts.graph.clusters() / MANY {
+            wanted = parts.large(|_| LEAST_PART);
         }
         let sheet = |(_, i, j): (bool, usize, usize)| &parts.mixed[i].1[j];
         wanted.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| sheet(*a).by_size(sheet(*b))));
         parts.alone = wanted.iter().filter(|(joins, ..)| !joins).count();
         parts.wanted = wanted.into_iter().map(|(_, i, j)| (i, j)).collect();
         parts
+    }
+
+    /// Sheets but the first of each cluster that have at least a part of its vertices, as its number of
+    /// sheets tells, or nothing of their own beside them: whether there is, the cluster and the sheet.
+    fn large(&self, least: impl Fn(usize) -> f64) -> Vec<(bool, usize, usize)> {
+        let mut large = Vec::new();
+        for (i, (_, sheets)) in self.mixed.iter().enumerate() {
+            let all: f64 = sheets.iter().map(|sheet| sheet.moments.count()).sum();
+            let least = all * least(sheets.len());
+            for (j, sheet) in sheets.iter().enumerate().skip(1) {
+                let is_alone = self.neighbours(sheet).next().is_none();
+                let count = sheet.moments.count();
+                if count > 0.0 && (is_alone || (count > 1.0 && count >= least)) {
+                    large.push((!is_alone, i, j));
+                }
+            }
+        }
+        large
     }
 
     /// Whether no cluster is of several sheets.
@@ -295,11 +313,43 @@ impl ClusterParts {
         (more > wanted / MANY && clusters + more > wanted).then_some(fewer.max(1))
     }
 
-    /// Choice of the parts of each mixed cluster that get a sample, if at most `most` do.
-    fn with_own(&self, most: usize) -> Vec<Vec<bool>> {
-        let mut own: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
-        self.wanted.iter().take(most).for_each(|(i, j)| own[*i][*j] = true);
-        own
+    /// Parts of mixed clusters that have samples, where at most `most` new ones are for so many clusters: the
+    /// largest parts, unless sheets of many clusters are to share few samples.
+    fn holders(&self, clusters: usize, most: usize) -> Holders {
+        let none = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
+        let mut holders = Holders { keeps: vec![0; self.mixed.len()], new: none };
+        if self.wanted.len() > most.max(clusters / MANY) {
+            self.spread(most, &mut holders);
+        } else {
+            self.wanted.iter().take(most).for_each(|(i, j)| holders.new[*i][*j] = true);
+        }
+        holders
+    }
+
+    /// Gives samples to parts of which few islands beside have any: so all sheets get about as many.
+    fn spread(&self, most: usize, holders: &mut Holders) {
+        let mut has = vec![false; self.graph.len() as usize];
+        for cluster in (0..self.graph.clusters() as u32).filter(|cluster| !self.is_mixed(*cluster)) {
+            self.graph.each_island(cluster, |island| has[island as usize] = true);
+        }
+        let mut open: Vec<Vec<usize>> = vec![vec![0]; self.mixed.len()];
+        self.wanted.iter().for_each(|(i, j)| open[*i].push(*j));
+        let sheet = |i: usize, j: usize| &self.mixed[i].1[j];
+        let served = |has: &[bool], i: usize, j: usize| {
+            self.neighbours(sheet(i, j)).filter(|island| has[*island as usize]).count()
+        };
+        for (i, open) in open.iter_mut().enumerate() {
+            let least = (0..open.len()).min_by_key(|at| served(&has, i, open[*at])).unwrap_or(0);
+            holders.keeps[i] = open.swap_remove(least);
+            sheet(i, holders.keeps[i]).islands.iter().for_each(|island| has[*island as usize] = true);
+        }
+        let rest = open.iter().enumerate().flat_map(|(i, open)| open.iter().map(move |j| (i, *j)));
+        let mut rest: Vec<(usize, (usize, usize))> =
+            rest.map(|(i, j)| (served(&has, i, j), (i, j))).collect();
+        rest.sort_by(|(a, of_a), (b, of_b)| {
+            a.cmp(b).then_with(|| sheet(of_a.0, of_a.1).by_size(sheet(of_b.0, of_b.1)))
+        });
+        rest.iter().take(most).for_each(|(_, (i, j))| holders.new[*i][*j] = true);
     }
 
     /// Islands of other clusters that a part is joined with.
@@ -407,6 +457,14 @@ impl ClusterParts {
     }
 }
 
+/// Parts of mixed clusters that have samples.
+struct Holders {
+    /// The part of each cluster that keeps its sample.
+    keeps: Vec<usize>,
+    /// Whether each part of each cluster gets a new one.
+    new: Vec<Vec<bool>>,
+}
+
 /// Sample of an island that has none yet.
 const OPEN: u32 = u32::MAX;
 
@@ -422,20 +480,20 @@ struct GivenSamples {
 }
 
 impl GivenSamples {
-    /// The largest part of each cluster keeps its sample, and as many others as may get new ones.
+    /// A part of each cluster keeps its sample, and as many others as may get new ones.
     fn new(parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32, most: usize) -> Self {
         let first = samples.len() as u32;
-        let with_own = parts.with_own(most);
+        let holders = parts.holders(samples.len(), most);
         let graph = &parts.graph;
         let sample = (0..graph.len()).map(|island| of(graph.cluster(island))).collect();
         let mut given = Self { sample, moved: Vec::new(), added: Vec::new(), open: Vec::new() };
         for (i, (cluster, sheets)) in parts.mixed.iter().enumerate() {
             for (j, sheet) in sheets.iter().enumerate() {
                 let (position, normal, _) = sheet.moments.representative();
-                let of_part = if j == 0 {
+                let of_part = if j == holders.keeps[i] {
                     given.moved.push((of(*cluster), position, normal));
                     of(*cluster)
-                } else if with_own[i][j] {
+                } else if holders.new[i][j] {
                     given.added.push((of(*cluster), position, normal));
                     first + given.added.len() as u32 - 1
                 } else {

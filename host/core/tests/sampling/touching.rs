@@ -38,13 +38,18 @@ const RADIUS: f64 = 0.2;
 
 /// Two interlocked rings that touch inside, but for a gap; and for each vertex whether it is of the second.
 fn rings(gap: f64) -> (Body, Vec<f64>) {
+    finer_rings(gap, 1)
+}
+
+/// The same of so many times as many vertices along each edge.
+fn finer_rings(gap: f64, finer: u32) -> (Body, Vec<f64>) {
     let ring = |center: DVec3, x: DVec3, y: DVec3| {
         let at = |i: u32| {
-            let t = TAU * f64::from(i) / 300.0;
+            let t = TAU * f64::from(i) / f64::from(300 * finer);
             let out = x * t.cos() + y * t.sin();
             (center + out, out, x.cross(y))
         };
-        tube(&(0..300).map(at).collect::<Vec<_>>(), 60, RADIUS, true)
+        tube(&(0..300 * finer).map(at).collect::<Vec<_>>(), 60 * finer, RADIUS, true)
     };
     let mut body = ring(DVec3::ZERO, DVec3::X, DVec3::Y);
     let second = ring(DVec3::X * (2.0 - 2.0 * RADIUS - gap), DVec3::X, DVec3::Z);
@@ -81,6 +86,54 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     let faces = (0..body.faces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
     let positions = corners.iter().map(|v| body.positions[*v]).collect();
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
+}
+
+/// The same faces in no order: vertices at one place are far from each other then.
+fn shuffled((mut body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
+    let count = body.faces.len();
+    // A prime, which leaves out no face.
+    body.faces = (0..count).map(|f| body.faces[f * 48_271 % count]).collect();
+    (body, part)
+}
+
+/// Distance of two sheets of a stack.
+const APART: f64 = 0.003;
+
+/// Flat sheets one above the other, which nothing joins; and for each vertex whether it is of the middle one.
+fn stack(sheets: u32) -> (Body, Vec<f64>) {
+    let (mut body, edge) = (Body::default(), 80);
+    for (sheet, i) in (0..sheets).flat_map(|sheet| (0..edge).map(move |i| (sheet, i))) {
+        let at = |j: u32| DVec3::new(f64::from(i), f64::from(j), 0.0) / f64::from(edge - 1);
+        body.positions.extend((0..edge).map(|j| at(j) + DVec3::Z * APART * f64::from(sheet)));
+        for j in (0..edge - 1).filter(|_| i + 1 < edge) {
+            let a = (sheet * edge + i) * edge + j;
+            body.faces.extend([[a, a + edge, a + edge + 1], [a, a + edge + 1, a + 1]]);
+        }
+    }
+    let of = of_stack(sheets);
+    let part = body.positions.iter().map(|p| of(*p)).collect();
+    (body, part)
+}
+
+fn of_stack(sheets: u32) -> impl Fn(DVec3) -> f64 {
+    move |p| f64::from(u32::from((p.z / APART).round() == f64::from(sheets / 2)))
+}
+
+/// A foil of twelve turns, a hundredth apart.
+fn foil() -> Body {
+    let (mut body, along, across) = (Body::default(), 1600, 120);
+    for i in 0..along {
+        let turns = 1.0 + 12.0 * f64::from(i) / f64::from(along - 1);
+        let (sin, cos) = (TAU * turns).sin_cos();
+        let place =
+            |j: u32| DVec3::new(cos, sin, 0.0) * (0.1 + 0.01 * turns) + DVec3::Z * f64::from(j) / 119.0;
+        body.positions.extend((0..across).map(place));
+        for j in (0..across - 1).filter(|_| i + 1 < along) {
+            let a = i * across + j;
+            body.faces.extend([[a, a + across, a + across + 1], [a, a + across + 1, a + 1]]);
+        }
+    }
+    body
 }
 
 /// Two spheres with holes at their poles, by their centers and radii, with their normals; and for each vertex
@@ -330,6 +383,45 @@ fn boxes_face_to_face_come_apart() {
         assert!((samples * 19 / 20..=samples).contains(&count), "{count}");
         assert!(follow <= most && joins == 0, "{samples}: {follow} vertices, {joins} triangles");
     }
+}
+
+/// Clusters of a stack hold all of its sheets, more than samples can be given to each.
+#[test]
+fn sheets_of_a_stack_come_apart() {
+    let sheets = 10;
+    let (body, part) = stack(sheets);
+    for samples in [1000, 3000, 10_000] {
+        let sampled = body.sampled(Sampling { target: Target::Samples(samples), ..sampling(true) });
+        let count = sampled.samples.len() as u64;
+        let off = pulled(&sampled, &body, &part, &of_stack(sheets));
+        let follow = off.iter().filter(|off| **off > 0.25).count();
+        println!("{count} samples: {follow} vertices off by a quarter");
+        assert!((samples * 17 / 20..=samples).contains(&count), "{count}");
+        assert!(follow == 0, "{samples}: {follow} vertices");
+    }
+}
+
+/// Among the samples nearest to one in space hardly any are on its own turn.
+#[test]
+fn samples_of_a_foil_know_others_of_their_turn() {
+    for samples in [1000, 3000] {
+        let sampled = foil().sampled(Sampling { target: Target::Samples(samples), ..sampling(true) });
+        let contacts = sampled.samples.contacts().unwrap();
+        let known = contacts.told().iter().filter_map(|i| contacts.same_sheet(*i as usize));
+        let least = known.map(<[u32]>::len).min().unwrap();
+        println!("{samples} samples: {least} neighbours at least");
+        assert!(contacts.told().len() > samples as usize * 4 / 5 && least >= 12, "{samples}: {least}");
+    }
+}
+
+/// Of vertices at one place that are far from each other in the file, not all are found in passing.
+#[test]
+fn faces_in_no_order_are_no_tangle() {
+    let (body, part) = soup(shuffled(finer_rings(1e-3, 2)));
+    let sampled = body.sampled(Sampling { target: Target::Samples(1000), ..sampling(true) });
+    let off = pulled(&sampled, &body, &part, &of_rings(1e-3));
+    println!("{:.5} of the vertices are off by a quarter", share(&off, 0.25));
+    assert!(sampled.samples.contacts().is_some() && share(&off, 0.25) < 1e-4);
 }
 
 /// Parts that go one way lend each other samples, and those that a hinge joins where they touch do not.
