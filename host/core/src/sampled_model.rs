@@ -725,7 +725,9 @@ impl SampledModel {
             let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
-        samples.store_lists(samples.usual_storage(folder));
+        // Beside the folder, not in it: where open files keep a name (network file systems, Windows), the
+        // folder could not be replaced as long as there are lists.
+        samples.store_lists(samples.usual_storage(folder_of(folder)));
         let fingerprint = description.samples_fingerprint;
         samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
         let skip = Skip {

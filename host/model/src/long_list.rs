@@ -37,7 +37,8 @@ impl ListStorage {
         let can_write = |folder: &Path| tempfile::tempfile_in(folder).is_ok();
         let elsewhere = std::env::temp_dir();
         let folder = if can_write(folder) { folder } else { &elsewhere };
-        Self::Files(folder.to_owned())
+        // The same folder where the process' own changes.
+        Self::Files(std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()))
     }
 
     /// Tells that about so many bytes of lists were gone through, and others follow: from time to time the
@@ -80,7 +81,7 @@ impl<T: Pod> LongList<T> {
     /// memory behind it.
     pub fn pass(&self) -> impl Iterator<Item = &T> {
         let is_file = matches!(self.0, Held::File(..));
-        self.chunks(LONG).flat_map(move |values| {
+        self.chunks(LONG / size_of::<T>().max(1)).flat_map(move |values| {
             if is_file {
                 mapped::looked_at(size_of_val(values));
             }

@@ -94,8 +94,17 @@ impl Scratch {
     /// Makes it `bytes` long by zeros that have a place on the disk.
     fn reserve(&self, bytes: u64) -> Result<()> {
         #[cfg(target_os = "linux")]
-        if rustix::fs::fallocate(&self.handle, rustix::fs::FallocateFlags::empty(), 0, bytes).is_ok() {
-            return Ok(());
+        {
+            use rustix::fs::{FallocateFlags, fallocate};
+            use rustix::io::Errno;
+            match fallocate(&self.handle, FallocateFlags::empty(), 0, bytes) {
+                Ok(()) => return Ok(()),
+                // Zeros would fill the little that others need.
+                Err(e @ (Errno::NOSPC | Errno::DQUOT)) => {
+                    return Err(refused("write", &self.folder, self.advice, &e.into()));
+                }
+                Err(_) => {}
+            }
         }
         // File systems that cannot do that are written to.
         let zeros = vec![0; 1 << 20];

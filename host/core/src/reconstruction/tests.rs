@@ -258,7 +258,7 @@ fn lists_in_files_carry_vertices_to_the_same_bits() {
     let folder = tempfile::tempdir().expect("a folder");
     // Enough samples for all lists to be long; two plates near each other, of which one bends and a part of
     // the other one jumps.
-    let points: Vec<Vec3> = patch(140).flat_map(|p| [p, p - 0.004 * Vec3::Y]).collect();
+    let points: Vec<Vec3> = patch(182).flat_map(|p| [p, p - 0.004 * Vec3::Y]).collect();
     let deformed: Vec<Vec3> = (0..)
         .zip(&points)
         .map(|(i, p): (u32, _)| match i % 2 {
