@@ -423,11 +423,8 @@ impl Reconstruct {
             describe_expected(expected, diagonal, report);
             // Whoever gives a tolerance accepts it.
             if let Some(beyond) = expected.beyond.filter(|_| self.tolerance.is_none()) {
-                let which = if self.deformed.len() > 1 {
-                    format!("{}: ", paths.output.display())
-                } else {
-                    String::new()
-                };
+                let which =
+                    if paths.len() > 1 { format!("{}: ", paths.output.display()) } else { String::new() };
                 let help = format!(
                     "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time",
                     self.refining(paths, &format!("--error {:e}", ExpectedError::ACCEPTED)),
