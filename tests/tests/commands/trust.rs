@@ -388,6 +388,11 @@ fn a_tolerance_holds_for_vertices() {
         assert!(advised(&refused.stderr).contains(&"--by-vertices".to_owned()), "{}", refused.stderr);
         assert_eq!(work.names(), before);
     }
+    // Nor is any of more versions than share a reading, of which only the last one is off.
+    let still = work.read("model.simod/samples.ply");
+    (0..4).for_each(|i| work.write(&format!("still-{i}.ply"), &still));
+    let all = "still-0.ply still-1.ply still-2.ply still-3.ply deformed.ply -o out-{}.ply";
+    work.refuses(&line.replace("deformed.ply -o out.ply", all), &["out-deformed.ply", "nothing was written"]);
     for turn in 0..4 {
         let outcome = work.run(&line);
         if outcome.code == Some(0) {

@@ -12,7 +12,9 @@ use simod_core::reconstruction::{
     Reconstructed, Reconstruction, RestGeometry, Version, choose_offset, judge, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise, note_on_name};
+use simod_model::{
+    Conversion, Converted, Error, MAX_VERSIONS, Model, Result, is_named_otherwise, note_on_name,
+};
 use simod_session::tolerance::check_precision;
 use simod_session::{Tolerance, sidecar};
 
@@ -24,8 +26,9 @@ use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
 
-/// Largest rounding, as a part of the tolerance, at which more samples still help.
-const MOST_ROUNDING: f64 = 0.9;
+/// Largest rounding, as a part of the tolerance, at which more samples still help: where it exceeds the
+/// tolerance together with the samples' disagreement, that is more than [`ADVISED`] of the tolerance.
+const MOST_ROUNDING: f64 = 0.86;
 
 /// Part of the tolerance that an advised refinement asks for, as density changes around refined places.
 const ADVISED: f64 = 0.5;
@@ -185,8 +188,8 @@ impl Reconstruct {
             let lengths = with_lengths(figures, &["fraction", "expected"], sampled.bounds.diagonal());
             report.figure("tolerance", lengths);
         }
-        // What an earlier run has written is not seen any more.
-        let how = Reconstruction { tolerance: tolerance.filter(|_| !self.resume), ..how };
+        // Nothing is judged twice.
+        let how = Reconstruction { tolerance: tolerance.filter(|_| !self.judges_first(paths.len())), ..how };
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())
             .map_err(|error| self.advising(error, tolerance, &sampled, &paths))?;
         self.tell(&done, &paths, &sampled, report);
@@ -284,9 +287,15 @@ impl Reconstruct {
         Ok(Some(tolerance))
     }
 
+    /// Whether all vertices of so many versions are judged before anything is written: an earlier run may
+    /// have written some of them, or the versions of one reading are in their places before the next one.
+    fn judges_first(&self, versions: usize) -> bool {
+        self.resume || versions > MAX_VERSIONS
+    }
+
     /// Returns an error where more than the tolerance is expected around any sample of a version, before
-    /// anything is streamed; otherwise the greatest expected error. Where an earlier run may have written
-    /// some of the vertices, all are judged, too.
+    /// anything is streamed, or of any vertex, where these are [judged first](Self::judges_first); otherwise
+    /// the greatest expected error around a sample.
     fn check_samples(
         &self,
         tolerance: f64,
@@ -298,7 +307,7 @@ impl Reconstruct {
         let (sampled, model) = of;
         report.progress().begin("estimating the error", 0);
         let around = RestGeometry::kept(sampled);
-        let mut most = 0.0f64;
+        let (mut most, judges_first) = (0.0f64, self.judges_first(paths.len()));
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;
             let mut field = DeformationField::from_deformed(&around, deformed, self.method.into())
@@ -308,10 +317,12 @@ impl Reconstruct {
                 return Err(self.refusal((tolerance, Some(needed)), sampled, paths, &beyond));
             }
             most = field.expected_beyond(sampled, 0.0).map_or(0.0, |all| all.worst).max(most);
-            if self.resume {
+            if judges_first {
                 field = field.expecting_of_vertices();
                 let judged = judge(model, &field, sampled, tolerance, None, report.progress())?;
-                if let Some(beyond) = field.learn(sampled, &judged, tolerance) {
+                if judged.beyond > 0
+                    && let Some(beyond) = field.learn(sampled, &judged, tolerance)
+                {
                     return Err(self.refusal((tolerance, None), sampled, paths, &beyond));
                 }
             }
@@ -344,7 +355,7 @@ impl Reconstruct {
         beyond: &ErrorExcess,
     ) -> Error {
         let diagonal = sampled.bounds.diagonal();
-        let ErrorExcess { worst, rounding, place, samples, .. } = *beyond;
+        let ErrorExcess { worst, place, samples, .. } = *beyond;
         let what = format!(
             "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the tolerance of \
              {} around {} samples; nothing was written",
@@ -356,9 +367,7 @@ impl Reconstruct {
             length(tolerance, diagonal),
             count(samples)
         );
-        if rounding > MOST_ROUNDING * tolerance {
-            let why =
-                format!("rounding alone makes {} there: give a larger tolerance", length(rounding, diagonal));
+        if let Some(why) = why_no_samples_help(tolerance, sampled, beyond) {
             return Error::argument(what, why);
         }
         let most = (TIMES_MORE * sampled.samples.len() as u64).max(LEAST_MORE);
@@ -384,8 +393,10 @@ impl Reconstruct {
     fn refining(&self, paths: &VersionPaths, how: &str) -> String {
         let model =
             self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
+        // A file that is read is not written over.
+        let output = if paths.deformed.ends_with("more.ply") { "more-2.ply" } else { "more.ply" };
         format!(
-            "simod refine {} --auto {how} --deformed {}{model} -o more.ply",
+            "simod refine {} --auto {how} --deformed {}{model} -o {output}",
             quoted(&self.sampled),
             quoted(&paths.deformed)
         )
@@ -410,12 +421,10 @@ impl Reconstruct {
         for (paths, expected) in paths.iter().zip(expected) {
             let Some(expected) = expected else { continue };
             describe_expected(expected, diagonal, report);
-            if let Some(beyond) = expected.beyond {
-                let which = if self.deformed.len() > 1 {
-                    format!("{}: ", paths.output.display())
-                } else {
-                    String::new()
-                };
+            // Whoever gives a tolerance accepts it.
+            if let Some(beyond) = expected.beyond.filter(|_| self.tolerance.is_none()) {
+                let which =
+                    if paths.len() > 1 { format!("{}: ", paths.output.display()) } else { String::new() };
                 let help = format!(
                     "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time",
                     self.refining(paths, &format!("--error {:e}", ExpectedError::ACCEPTED)),
@@ -425,6 +434,18 @@ impl Reconstruct {
             }
         }
     }
+}
+
+/// Reason for which more samples would not help where vertices are expected to be off by more than the
+/// tolerance, if they would not.
+fn why_no_samples_help(tolerance: f64, sampled: &SampledModel, beyond: &ErrorExcess) -> Option<String> {
+    if beyond.rounding > MOST_ROUNDING * tolerance {
+        let rounding = length(beyond.rounding, sampled.bounds.diagonal());
+        return Some(format!("rounding alone makes {rounding} there: give a larger tolerance"));
+    }
+    (sampled.samples.len() as u64 >= sampled.source.vertices).then(|| {
+        "all vertices are samples already: give a larger tolerance, or make the deformation smoother there".to_owned()
+    })
 }
 
 /// Positive number of three digits that is no larger: an error that meets it meets `x`.
@@ -451,11 +472,7 @@ pub fn tell_following(model: &dyn Model, report: &mut Report) {
 
 /// Expected error of the vertices, for `--json`.
 pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
-    let mut figures = json!(expected);
-    if let Some(beyond) = figures.get_mut("beyond").filter(|beyond| beyond.is_object()) {
-        *beyond = with_lengths(beyond.take(), &["worst"], diagonal);
-    }
-    with_lengths(figures, &["rms", "p999", "worst"], diagonal)
+    with_lengths(json!(expected), &["rms", "p999", "worst"], diagonal)
 }
 
 /// Reports the expected error of the vertices.

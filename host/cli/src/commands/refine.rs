@@ -185,7 +185,9 @@ impl Refine {
         let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::kept(sampled));
         let field = around.as_ref().zip(deformed).map(|(around, deformed)| {
             let field = DeformationField::from_deformed(around, deformed, Method::default());
-            if self.by_vertices { self.asking_vertices(field, sampled, model, progress) } else { Ok(field) }
+            // A number that is out of range is refused below, before the model is read.
+            let asks = self.by_vertices && how.finer.makes_sense();
+            if asks { self.asking_vertices(field, sampled, model, progress) } else { Ok(field) }
         });
         let field = field.transpose()?;
         let target = self.into.as_deref().unwrap_or(&self.sampled);

@@ -134,7 +134,8 @@ fn tell_run(run: &Pipeline, measure: bool, progress: &dyn Progress, report: &mut
     if let Some(expected) = run.written.expected.first().copied().flatten() {
         report.figure("expected_error", expected_figure(&expected, diagonal));
         describe_expected(&expected, diagonal, report);
-        if let Some(beyond) = expected.beyond {
+        // Whoever gives a tolerance accepts it.
+        if let Some(beyond) = expected.beyond.filter(|_| run.certificate.is_none()) {
             let help = "add a step `refine = { auto = true }` at the end, or run with --tolerance";
             warn_beyond("", &beyond, diagonal, help, report);
         }

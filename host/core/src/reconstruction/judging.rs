@@ -62,6 +62,9 @@ impl ExcessAround {
     /// Notes vertices (local coordinates) and how far they are off (local units), around the samples that
     /// have a say there.
     pub(super) fn note(&self, field: &DeformationField<'_>, found: &[(Vec3, f32)]) {
+        if found.is_empty() {
+            return;
+        }
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
         let homes = Homes::new(field.around).find_at(&places);
         let samples = field.around.samples;

@@ -87,8 +87,8 @@ pub struct Part<'a> {
     pub shared: SharedTarget<'a>,
 }
 
-/// Writes a part. Of `how`, `resume`, `part_bytes` and `binding` are not looked at. Nothing is done if the
-/// part is there, whole, and of the same model, samples and options; `false` then.
+/// Writes a part. Of `how`, `resume`, `part_bytes`, `binding` and `tolerance` are not looked at. Nothing is
+/// done if the part is there, whole, and of the same model, samples and options; `false` then.
 ///
 /// Memory: as of [`reconstruct`](super::reconstruct), and a 16 000th of the bytes of the vertices that are
 /// read.

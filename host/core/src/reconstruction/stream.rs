@@ -79,7 +79,8 @@ pub struct Reconstruction<'a> {
     /// turn the attributes that [follow](Model::following).
     pub gradients: Option<&'a [Mat3]>,
     /// Tolerance for the expected error of vertices, a fraction of the diagonal at rest: where any is
-    /// expected to be off by more, nothing is written, and the error's source is [`BeyondTolerance`].
+    /// expected to be off by more, no version of the same reading is written, and the error's source is
+    /// [`BeyondTolerance`]. Parts and exact images are not judged.
     pub tolerance: Option<f64>,
 }
 
@@ -355,8 +356,9 @@ impl<'a> ReconstructionCall<'a> {
             outputs.push(file.as_output());
             surveys.push(diagnostics.as_mut());
         }
-        if binding.is_none() {
-            // Here, on all threads of the pool.
+        if binding.is_none() || self.how.tolerance.is_some() {
+            // Here, on all threads of the pool, and once: homes of vertices beyond a tolerance are looked up,
+            // whether a binding has them or not.
             around.cells();
         }
         drop(reusing);
