@@ -166,7 +166,7 @@ impl Parting<'_> {
         mut welded: bool,
     ) -> Result<ClusterParts> {
         // A soup looks like a tangle if not all vertices at one place were found in passing.
-        if !welded && islands.is_overfull() {
+        if !welded && islands.is_overfull()? {
             self.weld_all(islands, sample_of)?;
             welded = true;
         }
