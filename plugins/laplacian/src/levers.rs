@@ -19,11 +19,15 @@ const TOGETHER: usize = 4096;
 const LEAST_SUMMED: usize = 1 << 14;
 /// … and most parts, whatever the number of threads, as sums are taken in one order.
 const MOST_PARTS: usize = 16;
+/// Least number of nodes of a part for each group: where groups are many, as of loose pieces, the sums of all
+/// parts would take more memory than the nodes.
+const LEAST_OF_A_GROUP: usize = 4;
 
 /// Shares that the nodes of a problem have in the groups of its coarse likeness.
 ///
 /// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten; about
-/// twice as much while they are found.
+/// twice as much while they are found. While covariances are summed up, 72 bytes for each group and part, of
+/// which there are at most 16.
 #[derive(Debug)]
 pub struct GroupLevers {
     /// Shares of all nodes, the held ones included.
@@ -91,7 +95,11 @@ impl GroupLevers {
 
     /// Covariances of the groups, given the displacements of all nodes.
     pub fn covariances(&self, displacements: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
-        let length = displacements.len().div_ceil(MOST_PARTS).max(LEAST_SUMMED);
+        let length = displacements
+            .len()
+            .div_ceil(MOST_PARTS)
+            .max(LEAST_SUMMED)
+            .max(LEAST_OF_A_GROUP * self.at_rest.len());
         let mut parts = vec![Vec::new(); displacements.len().div_ceil(length)];
         host.parallel_blocks(&mut parts, 1, |first, parts| {
             for (k, sums) in (first..).zip(parts) {

@@ -30,7 +30,7 @@ pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// Version of the format, counted up whenever the format changes, or the key of the same samples, their
 /// sheets, supports or homes.
-const VERSION: u32 = 8;
+const VERSION: u32 = 9;
 
 /// Largest number of bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;

@@ -392,9 +392,10 @@ mod list {
 /// to a file. Nothing is done if it is there already; `false` then.
 ///
 /// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most
-/// 32 triangles, twice while the list grows, and 8 for each of at most 32 links; 16 bytes per cell; chunks of
-/// faces. Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more
-/// where faces place the samples: where vertices come in no order, these are all vertices.
+/// 32 triangles, twice while the list grows, and 8 for each of at most 32 links, or of a million, whichever
+/// is more; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between the least
+/// and the greatest corner, and 12 more where faces place the samples: where vertices come in no order, these
+/// are all vertices.
 ///
 /// # Errors
 /// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the

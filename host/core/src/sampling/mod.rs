@@ -619,15 +619,15 @@ impl FaceResult {
         read: &Read<'_>,
         mut islands: Islands,
         sample_of: &mut [u32],
-        welded: bool,
+        mut welded: bool,
     ) -> Result<Option<ClusterChanges>> {
-        let mut parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        let mut parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, &mut welded)?;
         let mut merged = None;
         if let Some(n) = samples_wanted(read.sampling)
             && let Some(fewer) = parts.fewer_clusters(self.cut.samples(), n)
         {
             merged = Some(self.merge_clusters(fewer, &mut islands, sample_of));
-            parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+            parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, &mut welded)?;
         }
         let (mut parted, changed) = if parts.is_empty() && merged.is_none() {
             drop(islands);

@@ -95,16 +95,15 @@ impl Spilled {
         self.count += links.len() as u64;
     }
 
-    /// Visits all links, some at a time, as long as `visit` says so; nothing is left of them then.
-    fn drain(&mut self, mut visit: impl FnMut(&[[u32; 2]]) -> Result<bool>) -> Result<()> {
+    /// Visits all links, some at a time, as long as `visit` says so.
+    fn each(&mut self, mut visit: impl FnMut(&[[u32; 2]]) -> Result<bool>) -> Result<()> {
         if let Some(e) = self.failed.take() {
             return Err(e);
         }
-        let (file, count) = (self.file.take(), std::mem::take(&mut self.count));
-        let Some(file) = file else { return Ok(()) };
+        let Some(file) = &self.file else { return Ok(()) };
         let (mut at, mut some) = (0, Vec::new());
-        while at < count {
-            some.resize((LINKS_AT_EASE as u64).min(count - at) as usize, [0; 2]);
+        while at < self.count {
+            some.resize((LINKS_AT_EASE as u64).min(self.count - at) as usize, [0; 2]);
             file.read_at(cast_slice_mut(&mut some), at * size_of::<[u32; 2]>() as u64)?;
             if !visit(&some)? {
                 break;
@@ -284,7 +283,7 @@ impl Islands {
         let mut links = std::mem::take(&mut self.links);
         self.once_each(&mut links);
         visit(&links)?;
-        self.spilled.take().drain(|some| {
+        self.spilled.take().each(|some| {
             links.clear();
             links.extend_from_slice(some);
             self.once_each(&mut links);
@@ -293,17 +292,37 @@ impl Islands {
     }
 
     /// Whether there are more links than a graph may have, by the islands as they are now: that they are a
-    /// tangle, or that much of one place is not known to be one.
-    pub fn is_overfull(&mut self) -> bool {
-        let are_too_many =
-            |islands: &Self| islands.links.len() as u64 + islands.spilled.count > islands.most as u64;
-        if !are_too_many(self) {
-            return false;
+    /// tangle, or that much of one place is not known to be one. To be called when all faces are known.
+    ///
+    /// # Errors
+    /// The temporary file could not be written, or read.
+    pub fn is_overfull(&mut self) -> Result<bool> {
+        if self.links.len() as u64 + self.spilled.count <= self.most as u64 {
+            return Ok(false);
         }
-        let mut links = std::mem::take(&mut self.links);
+        let (links, mut spilled) = (std::mem::take(&mut self.links), self.spilled.take());
+        self.links = self.gathered(links, &mut spilled)?;
+        let is_overfull = self.links.len() > self.most;
+        if is_overfull {
+            // Not all of the file may have been read.
+            self.spilled = spilled;
+        }
+        Ok(is_overfull)
+    }
+
+    /// Links, with those that found no room, each once: all of them, or more than a graph may have.
+    fn gathered(&self, mut links: Vec<[u32; 2]>, spilled: &mut Spilled) -> Result<Vec<[u32; 2]>> {
         self.once_each(&mut links);
-        self.links = links;
-        are_too_many(self)
+        spilled.each(|some| {
+            links.extend_from_slice(some);
+            if links.len() > self.most {
+                self.once_each(&mut links);
+            }
+            // Islands are complete: links only become more.
+            Ok(links.len() <= self.most)
+        })?;
+        self.once_each(&mut links);
+        Ok(links)
     }
 
     /// Graph of all islands that are joined with others, unless they are a tangle: whatever order faces came
@@ -312,21 +331,9 @@ impl Islands {
     /// # Errors
     /// The temporary file could not be written, or read.
     pub fn graph(&mut self, sample_of: &[u32]) -> Result<ClusterGraph> {
-        let mut links = std::mem::take(&mut self.links);
-        self.once_each(&mut links);
-        let mut spilled = self.spilled.take();
-        let most = self.most;
-        spilled.drain(|some| {
-            links.extend_from_slice(some);
-            if links.len() > most {
-                self.once_each(&mut links);
-            }
-            // Islands are complete: links only become more.
-            Ok(links.len() <= most)
-        })?;
-        self.spilled = spilled;
-        self.once_each(&mut links);
-        if links.len() > most {
+        let (links, mut spilled) = (std::mem::take(&mut self.links), self.spilled.take());
+        let mut links = self.gathered(links, &mut spilled)?;
+        if links.len() > self.most {
             (links, self.tangled) = (Vec::new(), true);
         }
         // Links ascend by their first ends, so that samples are looked up in about the vertices' order; two
@@ -499,7 +506,7 @@ impl<'a> DisjointSets<'a> {
 /// further ones come behind the clusters.
 ///
 /// Memory: 9 bytes per sample, and 8 more and 16 for each of at most 32 links per sample while it is made,
-/// mostly 6.
+/// mostly 6, or of half a million, whichever is more.
 pub struct ClusterGraph {
     /// The first vertex of one island of each cluster; [`NONE`] where no island is joined with others.
     firsts: Vec<u32>,
@@ -852,12 +859,14 @@ mod tests {
         from.drain_links(take).expect("a file");
         assert_eq!(count, pairs as usize);
         for islands in [&mut one, &mut two] {
+            assert!(!islands.is_overfull().expect("a file"));
             let graph = islands.graph(&sample_of).expect("a file");
             assert!(!islands.tangled && graph.further.is_empty());
             assert_eq!((graph.joined(0), graph.joined(1)), (&[1][..], &[0][..]));
         }
         // Links without those faces are a tangle.
         let mut tangle = linked();
+        assert!(tangle.is_overfull().expect("a file"));
         assert!(tangle.graph(&sample_of).expect("a file").joined.is_empty() && tangle.tangled);
     }
 }

@@ -154,7 +154,7 @@ impl Parting<'_> {
     }
 
     /// The clusters of several sheets, once the faces are known. `trees` has the samples of each cell;
-    /// `welded` says that equal positions are joined already.
+    /// `welded` says whether equal positions are joined everywhere already; it is set once they are.
     ///
     /// # Errors
     /// As of [`weld_all`](Self::weld_all).
@@ -163,16 +163,16 @@ impl Parting<'_> {
         islands: &mut Islands,
         sample_of: &[u32],
         trees: &[CutTree],
-        mut welded: bool,
+        welded: &mut bool,
     ) -> Result<ClusterParts> {
         // A soup looks like a tangle if not all vertices at one place were found in passing.
-        if !welded && islands.is_overfull() {
+        if !*welded && islands.is_overfull()? {
             self.weld_all(islands, sample_of)?;
-            welded = true;
+            *welded = true;
         }
         let mut graph = islands.graph(sample_of)?;
         let mut mixed = None;
-        if !welded {
+        if !*welded {
             // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld
             // all than to see which do.
             let mut several = graph.several();
