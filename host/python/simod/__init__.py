@@ -30,7 +30,7 @@ from ._errors import (
     SimodWarning,
 )
 from ._plugins import PluginFunction, Plugins, plugins
-from ._records import ExpectedError, Info, Region, Report, TransferError
+from ._records import Certificate, ExpectedError, Info, Region, Report, TransferError
 from ._simod import Chunks, Model, Samples, Session, _stop_all, compare, load, open, sample
 
 _atexit.register(_stop_all)
@@ -40,6 +40,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ArgumentError",
     "Cancelled",
+    "Certificate",
     "Chunks",
     "DegenerateError",
     "Deformer",

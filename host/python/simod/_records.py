@@ -62,6 +62,23 @@ class TransferError:
 
 
 @dataclass(frozen=True)
+class Certificate:
+    """The proof that a tolerance is met. Errors are fractions of the diagonal."""
+
+    tolerance: float
+    expected: float
+    """The largest error that is expected around a sample."""
+    vertices: ExpectedError
+    """Expected errors of the vertices, or the true ones where all plugins know their map."""
+    added_samples: int
+    rounds: int
+    sampled_anew: int | None
+    """Number of first samples with which the model was sampled anew, if fewer held the search up."""
+    true_error: TransferError | None
+    """Of vertices chosen at random, where all plugins know their map; its jump is 0."""
+
+
+@dataclass(frozen=True)
 class Report:
     """What was written."""
 
@@ -79,6 +96,8 @@ class Report:
     """None where it is not known, as of another method than blended-jets."""
     transfer_error: TransferError | None
     """Where it was measured."""
+    certificate: Certificate | None = None
+    """Where a tolerance was given."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +119,15 @@ def record(name: str, content: str) -> Info | Report:
         lists = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
         return Info(**(values | lists))
     expected, transfer = values.pop("expected_error"), values.pop("transfer_error")
+    certificate = values.pop("certificate", None)
+    if certificate is not None:
+        true_error = certificate["true_error"]
+        vertices = ExpectedError(**certificate["vertices"])
+        true_error = None if true_error is None else TransferError(**true_error)
+        certificate = Certificate(**(certificate | {"vertices": vertices, "true_error": true_error}))
     return Report(
         **{**values, "output": Path(values["output"])},
         expected_error=None if expected is None else ExpectedError(**expected),
         transfer_error=None if transfer is None else TransferError(**transfer),
+        certificate=certificate,
     )

@@ -141,14 +141,24 @@ fn check_targets(
 /// Report on a run, with the error that was measured beside the exact deformation.
 fn report(run: &Run, error: Option<TransferError>) -> Value {
     let folded = run.written.folding.first().copied().flatten().map_or(0, |f| f.samples);
-    let error = error
-        .map(|e| json!({"vertices": e.vertices, "rms": e.rms, "p999": e.p999, "max": e.max, "jump": e.jump}));
+    let certificate = run.certificate.map(|c| {
+        let truth = c.truth.map(transfer_error);
+        json!({
+            "tolerance": c.tolerance, "expected": c.expected, "vertices": c.of_vertices, "added_samples": c.added,
+            "rounds": c.rounds, "sampled_anew": c.sampled_anew, "true_error": truth,
+        })
+    });
     json!({
         "output": run.output, "vertices": run.written.vertices, "non_finite": run.written.non_finite,
         "samples": run.deformed.sampled.samples.len(), "seconds": run.seconds, "folded_samples": folded,
-        "expected_error": run.written.expected.first().copied().flatten(), "transfer_error": error,
-        "diagonal": run.deformed.sampled.bounds.diagonal(),
+        "expected_error": run.written.expected.first().copied().flatten(), "transfer_error": error.map(transfer_error),
+        "certificate": certificate, "diagonal": run.deformed.sampled.bounds.diagonal(),
     })
+}
+
+/// Figures of a transfer error.
+fn transfer_error(e: TransferError) -> Value {
+    json!({"vertices": e.vertices, "rms": e.rms, "p999": e.p999, "max": e.max, "jump": e.jump})
 }
 
 /// A fraction of the diagonal, or a text as on the command line.

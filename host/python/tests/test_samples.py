@@ -212,6 +212,8 @@ params = { operation = "twist", angle = 40 }
     report = simod.Session(tmp_path / "edit.toml").run(tmp_path / "out.ply", measure=True, tolerance="0.01u")
     assert report.transfer_error is not None and report.transfer_error.vertices == report.vertices
     assert report.transfer_error.max * report.diagonal < 0.01
+    assert report.certificate is not None and report.certificate.true_error is not None
+    assert report.certificate.vertices.worst <= report.certificate.tolerance
     with pytest.raises(simod.ArgumentError, match="does not say where the result goes"):
         simod.Session(tmp_path / "edit.toml").run()
 

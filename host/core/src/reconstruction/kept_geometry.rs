@@ -105,6 +105,10 @@ impl<'a> RestGeometry<'a> {
 pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
     let samples = sampled.samples.len() as u64;
     let around = unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)?;
+    if around.sheets.knows_strangers() {
+        // Homes among many sheets are looked up in it: built here, on all threads.
+        sampled.samples.prepare_tree();
+    }
     around.set_kept();
     Some(around)
 }

@@ -24,6 +24,7 @@ use super::diagnostics::DiagnosticsFile;
 use super::expectation::ErrorExcess;
 use super::judging::BeyondTolerance;
 use super::reach::check_reach;
+use super::sheets::SHEET_NEIGHBOURS;
 use super::transfer::{HashedModel, SurveyedVertices, Surveys, Transfer, locked, pieces_at_once};
 use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::deformed_positions::DeformedPositions;
@@ -33,6 +34,10 @@ use crate::sampled_model::SampledModel;
 /// Revision, counted up whenever the same inputs give other bytes: an earlier program's unfinished output is
 /// not gone on with then.
 const REVISION: u32 = 15;
+
+/// Most samples of a reconstruction: a home's list has at most the home, its neighbours, and those whose
+/// neighbour it is, which are as many on average, and all entries are numbered by 32 bits.
+const MOST_SAMPLES: usize = u32::MAX as usize / (2 * SHEET_NEIGHBOURS + 1);
 
 /// Most bytes of the model whose work is lost when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
@@ -155,6 +160,7 @@ pub fn reconstruct(
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
     check_targets(model, versions, how)?;
+    check_number(sampled)?;
     check_reach(sampled, model, versions.iter().map(|version| version.deformed))?;
     if let Some(cost) = sampled.source.cost_of_order() {
         progress.note(&cost);
@@ -184,6 +190,20 @@ pub fn reconstruct(
         }),
         Err(error) => Err(work.stop(error, versions)),
     }
+}
+
+/// Returns an error where the lists of supports could have more entries than are numbered.
+fn check_number(sampled: &SampledModel) -> Result<()> {
+    if sampled.samples.len() <= MOST_SAMPLES {
+        return Ok(());
+    }
+    Err(Error::argument(
+        format!(
+            "{} samples are more than the {MOST_SAMPLES} that a reconstruction lists",
+            sampled.samples.len()
+        ),
+        "sample the model with fewer",
+    ))
 }
 
 /// An error where an output is the model or two are the same, or the disk has no room for them.

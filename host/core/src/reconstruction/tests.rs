@@ -270,10 +270,16 @@ fn lists_in_files_carry_vertices_to_the_same_bits() {
     let vertices: Vec<Vec3> = points.iter().map(|p| *p + Vec3::new(0.001, 0.0005, -0.001)).collect();
     let in_storage = |storage: ListStorage| {
         let mut samples = SampleSet::new(points.clone(), Vec::new()).expect("samples");
-        samples.store_lists(storage);
+        samples.store_lists(storage.clone());
         let around = RestGeometry::new(&samples);
         let mut kept = Vec::new();
         super::kept_geometry::pack(&around, &mut kept).expect("bytes");
+        let mut again = SampleSet::new(points.clone(), Vec::new()).expect("samples");
+        again.store_lists(storage);
+        let (unpacked, mut packed) =
+            (super::kept_geometry::unpack(&again, &kept).expect("geometry"), Vec::new());
+        super::kept_geometry::pack(&unpacked, &mut packed).expect("bytes");
+        assert!(packed == kept);
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
         let expected: Vec<u32> = field.expected_error().into_iter().map(f32::to_bits).collect();
         let carried = carried(&field, &vertices).into_iter().map(|p| p.to_array().map(f32::to_bits));

@@ -118,8 +118,18 @@ impl Contacts {
             inherited.contacts.same_sheet(own as usize)?;
             let near = samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
             let is_same = |j: &u32| inherited.is_of(*j, own);
-            let same: Vec<u32> = near.iter().copied().filter(is_same).take(SHEET_NEIGHBOURS).collect();
+            let mut same: Vec<u32> = near.iter().copied().filter(is_same).take(SHEET_NEIGHBOURS).collect();
             let left_out: Vec<(u32, u32)> = left_out_by(i, &near, &same).collect();
+            if same.len() < SHEET_NEIGHBOURS {
+                // Samples farther off, as the sample's own sheet had before.
+                let known = inherited.contacts.same_sheet(own as usize).unwrap_or_default();
+                let distance = |j: u32| samples.positions[i as usize].distance(samples.positions[j as usize]);
+                let farther = known.iter().chain([&own]).filter(|j| **j != i && !near.contains(*j));
+                let mut farther: Vec<(u32, u32)> = farther.map(|j| (distance(*j).to_bits(), *j)).collect();
+                farther.sort_unstable();
+                farther.truncate(SHEET_NEIGHBOURS - same.len());
+                same.extend(farther.into_iter().map(|(_, j)| j));
+            }
             Some(((i, same), left_out))
         };
         let found: Vec<_> = (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
