@@ -418,13 +418,13 @@ impl Reconstruct {
             }
         };
         report.figure("expected_error", figure);
+        let several = paths.len() > 1;
         for (paths, expected) in paths.iter().zip(expected) {
             let Some(expected) = expected else { continue };
             describe_expected(expected, diagonal, report);
             // Whoever gives a tolerance accepts it.
             if let Some(beyond) = expected.beyond.filter(|_| self.tolerance.is_none()) {
-                let which =
-                    if paths.len() > 1 { format!("{}: ", paths.output.display()) } else { String::new() };
+                let which = if several { format!("{}: ", paths.output.display()) } else { String::new() };
                 let help = format!(
                     "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time",
                     self.refining(paths, &format!("--error {:e}", ExpectedError::ACCEPTED)),
