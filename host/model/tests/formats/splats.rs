@@ -347,7 +347,7 @@ fn spz_that_lies_is_refused() {
         bytes[at] = byte;
         spz(&bytes)
     };
-    refused(&with(0, b'X'), "no SPZ in it");
+    refused(&with(0, b'X'), "its content is no SPZ");
     refused(&with(4, 4), "version 4");
     refused(&with(12, 4), "degree 4");
     refused(&with(8, 4), "another number of bytes");
