@@ -131,7 +131,7 @@ fn unpack(source: &SourceFile, (count, bytes): (u32, u64), making: &Making<'_>) 
             let read = read.map_err(|e| damaged(&format!("its compressed bytes are damaged: {e}")))?;
             if at + read as u64 > bytes || (read == 0 && at < bytes) {
                 let what =
-                    format!("its header says {count} splats, but the bytes for them are of another number");
+                    format!("its header says {count} splats, but another number of bytes stands for them");
                 return Err(damaged(&what));
             }
             if read == 0 {
