@@ -782,7 +782,7 @@ impl SampledModel {
     /// there is no such file, or it cannot be read.
     pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<LongList<u8>> {
         let (folder, _) = self.folder.as_ref()?;
-        input::read_long(&folder.join(name), most, self.samples.storage()).ok()
+        LongList::read(&folder.join(name), most, self.samples.storage()).ok()
     }
 
     /// Puts a file into the folder that the model was read from, if there is one, unless another process is

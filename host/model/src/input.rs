@@ -6,7 +6,6 @@ use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use crate::long_list::{ListStorage, LongList};
 use crate::object::{check_file, is_object};
 use crate::size::human_size;
 use crate::{Error, Result};
@@ -33,9 +32,6 @@ pub fn seen_from(folder: &Path, path: &Path) -> PathBuf {
     if is_object(path) { path.to_owned() } else { folder.join(path) }
 }
 
-/// Bytes of a long file that are read at once.
-const PART: usize = 1 << 20;
-
 /// Reads a whole file of at most `most` bytes.
 ///
 /// # Errors
@@ -53,28 +49,6 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
     if bytes.len() as u64 > most { Err(too_long(path, most)) } else { Ok(bytes) }
 }
 
-/// Reads a whole file of at most `most` bytes into a list that may be in a temporary file.
-///
-/// # Errors
-/// As of [`read`].
-pub fn read_long(path: &Path, most: u64, storage: &ListStorage) -> Result<LongList<u8>> {
-    if *storage == ListStorage::Memory {
-        return read(path, most).map(LongList::from);
-    }
-    let mut file = open(path)?;
-    let failed = |e: io::Error| Error::io("read", path, &e);
-    let length = file.metadata().map_err(failed)?.len();
-    if length > most {
-        return Err(too_long(path, most));
-    }
-    let mut bytes = LongList::zeros(length as usize, storage);
-    for part in bytes.chunks_mut(PART) {
-        file.read_exact(part).map_err(failed)?;
-        storage.gone_through(part.len());
-    }
-    Ok(bytes)
-}
-
 /// Reads a whole text of at most `most` bytes.
 ///
 /// # Errors
@@ -85,7 +59,7 @@ pub fn read_text(path: &Path, most: u64) -> Result<String> {
     })
 }
 
-fn too_long(path: &Path, most: u64) -> Error {
+pub(crate) fn too_long(path: &Path, most: u64) -> Error {
     Error::format(
         format!("{} is longer than the {} that such a file has at most", path.display(), human_size(most)),
         "give another file",

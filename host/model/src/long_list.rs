@@ -2,6 +2,7 @@
 //! much, in temporary files that are mapped.
 
 use std::fmt;
+use std::io::{self, Read};
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
@@ -10,8 +11,8 @@ use bytemuck::Pod;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::mapped::{self, MapMut};
-use crate::memory;
 use crate::scratch::Scratch;
+use crate::{Error, Result, input, memory};
 
 /// Bytes from which on a list is long: shorter ones are in memory wherever the others are.
 const LONG: usize = 1 << 20;
@@ -90,6 +91,30 @@ impl<T: Pod> LongList<T> {
     }
 }
 
+impl LongList<u8> {
+    /// Reads a whole file of at most `most` bytes.
+    ///
+    /// # Errors
+    /// As of [`input::read`].
+    pub fn read(path: &Path, most: u64, storage: &ListStorage) -> Result<Self> {
+        if *storage == ListStorage::Memory {
+            return input::read(path, most).map(Self::from);
+        }
+        let mut file = input::open(path)?;
+        let failed = |e: io::Error| Error::io("read", path, &e);
+        let length = file.metadata().map_err(failed)?.len();
+        if length > most {
+            return Err(input::too_long(path, most));
+        }
+        let mut bytes = Self::zeros(length as usize, storage);
+        for part in bytes.chunks_mut(LONG) {
+            file.read_exact(part).map_err(failed)?;
+            storage.gone_through(part.len());
+        }
+        Ok(bytes)
+    }
+}
+
 impl<T> From<Vec<T>> for LongList<T> {
     fn from(list: Vec<T>) -> Self {
         Self(Held::Memory(list))
@@ -131,13 +156,13 @@ impl<T: Pod + fmt::Debug> fmt::Debug for LongList<T> {
 }
 
 impl<T: Pod + Serialize> Serialize for LongList<T> {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+    fn serialize<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
         self[..].serialize(to)
     }
 }
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for LongList<T> {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> std::result::Result<Self, D::Error> {
         Vec::deserialize(from).map(Self::from)
     }
 }
@@ -165,6 +190,20 @@ mod tests {
             assert!(file.pass().eq(&memory[..]));
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn files_are_read_alike_into_memory_and_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bytes");
+        let bytes: Vec<u8> = (0..5 << 19).map(|i: u32| (i % 251) as u8).collect();
+        std::fs::write(&path, &bytes).unwrap();
+        for storage in [ListStorage::Memory, ListStorage::Files(folder.path().to_owned())] {
+            let all = bytes.len() as u64;
+            assert!(LongList::read(&path, all, &storage).unwrap()[..] == bytes[..]);
+            assert!(LongList::read(&path, all - 1, &storage).is_err());
+            assert!(LongList::read(folder.path(), all, &storage).is_err());
+        }
     }
 
     #[test]
