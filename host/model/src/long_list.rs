@@ -197,7 +197,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bytes");
         let bytes: Vec<u8> = (0..5 << 19).map(|i: u32| (i % 251) as u8).collect();
-        std::fs::write(&path, &bytes).unwrap();
+        crate::output::write_file(&path, &bytes).unwrap();
         for storage in [ListStorage::Memory, ListStorage::Files(folder.path().to_owned())] {
             let all = bytes.len() as u64;
             assert!(LongList::read(&path, all, &storage).unwrap()[..] == bytes[..]);
