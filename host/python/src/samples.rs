@@ -433,7 +433,7 @@ impl Samples {
             for (rest, positions) in rest.chunks(BATCH).zip(moved.chunks_mut(BATCH)) {
                 watch.check()?;
                 let normals = of_normals.next().unwrap_or_default();
-                let moved = Moved { positions, normals, gradients: &mut [], figures: &mut [] };
+                let moved = Moved { normals, ..Moved::places(positions) };
                 carry(&field, &sampled.frame, rest, None, &mut [moved]);
                 watch.advance(rest.len() as u64);
             }

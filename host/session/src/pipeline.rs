@@ -464,7 +464,7 @@ fn told_cost(
     let evaluations = vertices * if gradient { EVALUATIONS_WITH_GRADIENT } else { 1 };
     let seconds = seconds / some.len() as f64 * evaluations as f64;
     progress.note(&format!(
-        "the steps are evaluated at each of {vertices} vertices{}, which takes about {seconds:.1} s",
+        "the steps are evaluated at each of {vertices} vertices{}, which takes about {seconds:.1} s besides reading and writing",
         if gradient { ", and at six points around it for the gradient" } else { "" }
     ));
     Ok(ExactCost { evaluations, seconds })

@@ -29,7 +29,7 @@ use simod_plugin_api::Time;
 const FEWEST: u64 = 1000;
 
 /// Factor by which there are more first samples when a search that its first samples hold up begins anew.
-const ANEW: u64 = 4;
+const ANEW: u64 = 2;
 
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
@@ -496,6 +496,9 @@ impl UnrefinedState {
         steps: &[Step],
     ) -> Option<String> {
         let ErrorExcess { worst, rounding, place, .. } = *beyond;
+        if !worst.is_finite() {
+            return Some("numbers of single precision overflow there: it moves samples too far".to_owned());
+        }
         if ROUNDING * rounding > worst {
             return Some(format!("rounding to floats alone makes about {rounding:.1e} where it goes"));
         }

@@ -350,6 +350,7 @@ fn auto_refines_where_the_deformation_needs_it() {
     work.move_samples("model.simod", bumped);
     work.refuses(&format!("{auto} --error 0"), &["transfer error 0"]);
     work.refuses(&format!("{auto} --samples 0"), &["0 samples"]);
+    work.refuses(&format!("{auto} --samples 5000000000"), &["number of 5000000000 samples", "4294967295"]);
     for usage in
         ["--auto", "--auto --deformed deformed.ply -o d.ply --factor 2", "--deformed deformed.ply -o d.ply"]
     {

@@ -1,5 +1,6 @@
 //! `simod reconstruct`: deformed samples back onto the whole model.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -27,11 +28,8 @@ use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
 
 /// Largest rounding, as a part of the tolerance, at which more samples still help: where it exceeds the
-/// tolerance together with the samples' disagreement, that is more than [`ADVISED`] of the tolerance.
+/// tolerance together with the samples' disagreement, that is more than the advised part of the tolerance.
 const MOST_ROUNDING: f64 = 0.86;
-
-/// Part of the tolerance that an advised refinement asks for, as density changes around refined places.
-const ADVISED: f64 = 0.5;
 
 /// Number of samples that it adds at most for each one that there is, or [`LEAST_MORE`] in all: the expected
 /// errors of these are known then.
@@ -181,17 +179,19 @@ impl Reconstruct {
             ..Reconstruction::default()
         };
         let tolerance = self.checked_tolerance(&sampled, model.as_ref())?;
+        let judges_first = self.judges_first(paths.len());
+        if let Some(fraction) = tolerance.filter(|_| judges_first) {
+            self.judge_first(fraction, (&sampled, model.as_ref()), &paths, &deformed, report)?;
+        }
+        // Nothing is judged twice.
+        let how = Reconstruction { tolerance: tolerance.filter(|_| !judges_first), ..how };
+        let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())
+            .map_err(|error| self.advising(error, tolerance, &sampled, &paths))?;
         if let Some(fraction) = tolerance {
-            let expected =
-                self.check_samples(fraction, (&sampled, model.as_ref()), &paths, &deformed, report)?;
-            let figures = json!({"fraction": fraction, "expected": expected});
+            let figures = json!({"fraction": fraction, "expected": done.around_samples});
             let lengths = with_lengths(figures, &["fraction", "expected"], sampled.bounds.diagonal());
             report.figure("tolerance", lengths);
         }
-        // Nothing is judged twice.
-        let how = Reconstruction { tolerance: tolerance.filter(|_| !self.judges_first(paths.len())), ..how };
-        let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())
-            .map_err(|error| self.advising(error, tolerance, &sampled, &paths))?;
         self.tell(&done, &paths, &sampled, report);
         Ok(())
     }
@@ -293,41 +293,37 @@ impl Reconstruct {
         self.resume || versions > MAX_VERSIONS
     }
 
-    /// Returns an error where more than the tolerance is expected around any sample of a version, before
-    /// anything is streamed, or of any vertex, where these are [judged first](Self::judges_first); otherwise
-    /// the greatest expected error around a sample.
-    fn check_samples(
+    /// Returns an error where more than the tolerance is expected around any sample of a version, or of any
+    /// vertex, before anything is written.
+    fn judge_first(
         &self,
         tolerance: f64,
         of: (&SampledModel, &dyn Model),
         paths: &[VersionPaths],
         deformed: &[DeformedPositions],
         report: &mut Report,
-    ) -> Result<f64> {
+    ) -> Result<()> {
         let (sampled, model) = of;
         report.progress().begin("estimating the error", 0);
         let around = RestGeometry::kept(sampled);
-        let (mut most, judges_first) = (0.0f64, self.judges_first(paths.len()));
-        for (paths, deformed) in paths.iter().zip(deformed) {
+        for (version, deformed) in deformed.iter().enumerate() {
             report.progress().check()?;
-            let mut field = DeformationField::from_deformed(&around, deformed, self.method.into())
+            let field = DeformationField::from_deformed(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
-            if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
-                let needed = field.expected_beyond(sampled, ADVISED * tolerance).map_or(0, |all| all.needed);
-                return Err(self.refusal((tolerance, Some(needed)), sampled, paths, &beyond));
+            if let Some(beyond) = BeyondTolerance::by_samples(version, &field, sampled, tolerance) {
+                return Err(self.refusal(tolerance, sampled, paths, &beyond));
             }
-            most = field.expected_beyond(sampled, 0.0).map_or(0.0, |all| all.worst).max(most);
-            if judges_first {
-                field = field.expecting_of_vertices();
-                let judged = judge(model, &field, sampled, tolerance, None, report.progress())?;
-                if judged.beyond > 0
-                    && let Some(beyond) = field.learn(sampled, &judged, tolerance)
-                {
-                    return Err(self.refusal((tolerance, None), sampled, paths, &beyond));
-                }
+            let mut field = field.expecting_of_vertices();
+            let judged = judge(model, &field, sampled, tolerance, None, report.progress())?;
+            if judged.beyond > 0
+                && let Some(beyond) = field.learn(sampled, &judged, tolerance)
+            {
+                let (vertices, needed) = (Some(judged.beyond), beyond.needed);
+                let beyond = BeyondTolerance { version, vertices, beyond, needed };
+                return Err(self.refusal(tolerance, sampled, paths, &beyond));
             }
         }
-        Ok(most)
+        Ok(())
     }
 
     /// Error with advice, where it is that vertices are expected to be off by more than the tolerance.
@@ -339,23 +335,22 @@ impl Reconstruct {
         paths: &[VersionPaths],
     ) -> Error {
         let source = std::error::Error::source(&error).and_then(|source| source.downcast_ref());
-        let (Some(BeyondTolerance { version, beyond, .. }), Some(tolerance)) = (source, tolerance) else {
-            return error;
-        };
-        self.refusal((tolerance, None), sampled, &paths[*version], beyond)
+        let (Some(beyond), Some(tolerance)) = (source, tolerance) else { return error };
+        self.refusal(tolerance, sampled, paths, beyond)
     }
 
     /// Error where vertices of a version are expected to be off by more than the tolerance, as samples tell,
-    /// which need about so many more, or as single vertices do.
+    /// or as single vertices do.
     fn refusal(
         &self,
-        (tolerance, needed): (f64, Option<u64>),
+        tolerance: f64,
         sampled: &SampledModel,
-        paths: &VersionPaths,
-        beyond: &ErrorExcess,
+        paths: &[VersionPaths],
+        told: &BeyondTolerance,
     ) -> Error {
         let diagonal = sampled.bounds.diagonal();
-        let ErrorExcess { worst, place, samples, .. } = *beyond;
+        let BeyondTolerance { version, vertices, ref beyond, needed } = *told;
+        let (paths, ErrorExcess { worst, place, samples, .. }) = (&paths[version], *beyond);
         let what = format!(
             "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the tolerance of \
              {} around {} samples; nothing was written",
@@ -371,15 +366,11 @@ impl Reconstruct {
             return Error::argument(what, why);
         }
         let most = (TIMES_MORE * sampled.samples.len() as u64).max(LEAST_MORE);
-        let (how, told) = match needed {
-            Some(needed) => (
-                format!("--error {:e} --samples {most}", rounded_down(ADVISED * tolerance)),
-                format!(", about {} in all, at most {} at a time", count(needed), count(most)),
-            ),
-            None => (
-                format!("--by-vertices --error {:e} --samples {most}", rounded_down(ADVISED * tolerance)),
-                String::new(),
-            ),
+        let how =
+            format!("--error {:e} --samples {most}", rounded_down(BeyondTolerance::ADVISED * tolerance));
+        let (how, told) = match vertices {
+            None => (how, format!(", about {} in all, at most {} at a time", count(needed), count(most))),
+            Some(_) => (format!("--by-vertices {how}"), String::new()),
         };
         let hint = format!(
             "`{}` adds samples where they are needed{told}; then deform these by the program that deformed the others, as \
@@ -439,6 +430,9 @@ impl Reconstruct {
 /// Reason for which more samples would not help where vertices are expected to be off by more than the
 /// tolerance, if they would not.
 fn why_no_samples_help(tolerance: f64, sampled: &SampledModel, beyond: &ErrorExcess) -> Option<String> {
+    if !beyond.worst.is_finite() {
+        return Some("numbers of single precision overflow there: move the samples less far".to_owned());
+    }
     if beyond.rounding > MOST_ROUNDING * tolerance {
         let rounding = length(beyond.rounding, sampled.bounds.diagonal());
         return Some(format!("rounding alone makes {rounding} there: give a larger tolerance"));
@@ -456,9 +450,10 @@ fn rounded_down(x: f64) -> f64 {
     if nearest <= x { nearest } else { digits(x - 0.0075 * 10f64.powf(x.log10().floor())) }
 }
 
-/// A path as a shell takes it.
+/// A path as a shell takes it, and the program: one that begins with a hyphen would be an option.
 fn quoted(path: &Path) -> String {
     let path = path.to_string_lossy();
+    let path = if path.starts_with('-') { Cow::Owned(format!("./{path}")) } else { path };
     // Paths have no zero bytes, which is all that cannot be quoted.
     shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }

@@ -421,7 +421,8 @@ impl Carrying<'_> {
         let rest = moved.clone();
         let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
         let mut gradients = vec![Mat3::IDENTITY; axes.len()];
-        let to = Moved { positions: &mut moved, normals, gradients: &mut gradients, figures: &mut figures };
+        let to =
+            Moved { normals, gradients: &mut gradients, figures: &mut figures, ..Moved::places(&mut moved) };
         carry(std::slice::from_ref(field), frame, &rest, Some(homes), &mut [to]);
         spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
             let stretch = figures.stretch[0];

@@ -15,7 +15,7 @@
 //! about 250, of one anchor for about 30 samples; the result takes 144 per sample.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::blended_jets::FitInput;
@@ -281,8 +281,7 @@ impl Anchors {
         let chosen = anchors(fitted.stencils, expansions);
         let samples = fitted.samples.len();
         let fit = |walk: &mut NeighbourWalk, i: &u32| {
-            let fit = AnchorFit { fitted, i: *i as usize };
-            Arch::new().dispatch(|| fit.anchor(walk))
+            Arch::new().dispatch(AnchorFit { fitted, i: *i as usize, walk })
         };
         let found = chosen.par_iter().map_init(|| NeighbourWalk::new(samples), fit);
         let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = found.unzip();
@@ -383,13 +382,16 @@ impl AnchorLists {
 struct AnchorFit<'a> {
     fitted: FitInput<'a>,
     i: usize,
+    walk: &'a mut NeighbourWalk,
 }
 
-impl AnchorFit<'_> {
+impl WithSimd for AnchorFit<'_> {
     /// The anchor, and the samples at which it has a say.
+    type Output = (Anchor, Vec<u32>);
+
     #[inline(always)]
-    fn anchor(&self, walk: &mut NeighbourWalk) -> (Anchor, Vec<u32>) {
-        let Self { fitted: FitInput { samples, stencils, deformed, gradient }, i } = *self;
+    fn with_simd<S: Simd>(self, _: S) -> (Anchor, Vec<u32>) {
+        let Self { fitted: FitInput { samples, stencils, deformed, gradient }, i, walk } = self;
         let affine = gradient[i];
         let (mut near, heard) = walk.from(i as u32, LINKS, |j| stencils.of_sample(j));
         let way = |j: u32| samples.positions[j as usize] - samples.positions[i];

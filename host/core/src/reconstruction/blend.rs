@@ -136,8 +136,8 @@ fn reaches(positions: &[Vec3], sheets: &Sheets, storage: &ListStorage) -> (Vec<f
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
 ///
-/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient, and 36 for that by which
-/// numbers turn; and as much for up to [`PACKET`] more vertices of each group.
+/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient, 36 for that by which
+/// numbers turn, and 4 for an expected error; and as much for up to [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
     /// Home and places of each group of vertices. A group begins at a multiple of [`PACKET`]; entries between
@@ -156,6 +156,9 @@ pub struct Grouped {
     /// 1 where the displacement is seen (by `within_range`) to keep to the range of the
     /// samples around, 0 elsewhere.
     pub is_within_range: Vec<f32>,
+    /// Expected errors, local units, where they were asked for; those of vertices that are not within their
+    /// range have no meaning.
+    pub expected: Vec<f32>,
     /// Normals, which are turned; empty if there are none.
     pub normals: [Vec<f32>; 3],
     /// The gradient of the deformation, column by column; empty unless it is asked for.
@@ -363,7 +366,7 @@ struct Blended<S: Simd> {
 
 /// Term `k` of coordinate `o` of an expansion, for all lanes.
 #[inline(always)]
-fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
+pub fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
     Lanes::splat(simd, e.term(k, o))
 }
 

@@ -50,6 +50,23 @@ pub struct Moved<'a> {
     pub gradients: &'a mut [Mat3],
     /// Diagnostics of the surface at each vertex, which are filled in: as many as positions, or none.
     pub figures: &'a mut [VertexDiagnostics],
+    /// Expected error of each vertex's position, in the model's unit, which is filled in where anything
+    /// moves: as many as positions, or none. The field has to be [expecting of
+    /// vertices](DeformationField::expecting_of_vertices).
+    pub expected: &'a mut [f32],
+}
+
+impl<'a> Moved<'a> {
+    /// Positions alone.
+    pub fn places(positions: &'a mut [DVec3]) -> Self {
+        Self { positions, normals: &mut [], gradients: &mut [], figures: &mut [], expected: &mut [] }
+    }
+
+    /// Whether nothing but positions is asked for.
+    fn has_places_alone(&self) -> bool {
+        let Self { positions: _, normals, gradients, figures, expected } = self;
+        normals.is_empty() && gradients.is_empty() && figures.is_empty() && expected.is_empty()
+    }
 }
 
 /// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all threads
@@ -77,8 +94,7 @@ pub fn carry(
 /// Deformed positions of points in the model's coordinates.
 pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
-    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
-    carry(std::slice::from_ref(field), frame, positions, None, to);
+    carry(std::slice::from_ref(field), frame, positions, None, &mut [Moved::places(&mut moved)]);
     moved
 }
 
@@ -95,10 +111,7 @@ pub fn carry_on_this_thread(
     homes: Option<&[u32]>,
     moved: &mut [Moved<'_>],
 ) {
-    let places_alone = |moved: &Moved<'_>| {
-        moved.normals.is_empty() && moved.gradients.is_empty() && moved.figures.is_empty()
-    };
-    let is_by_place = homes.is_none() && moved.iter().all(places_alone);
+    let is_by_place = homes.is_none() && moved.iter().all(Moved::has_places_alone);
     let Some(repeated) = is_by_place.then(|| Repeated::find(positions)).flatten() else {
         let most = most_of_block(positions, usize::MAX);
         blocks(positions, homes, moved, most).into_iter().for_each(|block| block.carry(fields, frame));
@@ -106,8 +119,7 @@ pub fn carry_on_this_thread(
     };
     let positions = repeated.gather(positions);
     let mut images: Vec<Vec<DVec3>> = moved.iter().map(|moved| repeated.gather(moved.positions)).collect();
-    let of_places = |positions| Moved { positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
-    let mut of_places: Vec<Moved<'_>> = images.iter_mut().map(|images| of_places(images)).collect();
+    let mut of_places: Vec<Moved<'_>> = images.iter_mut().map(|images| Moved::places(images)).collect();
     let most = most_of_block(&positions, usize::MAX);
     let mut counts = repeated.count.chunks(most);
     for block in blocks(&positions, None, &mut of_places, most) {
@@ -144,14 +156,15 @@ fn blocks<'a>(
             moved: Vec::with_capacity(moved.len()),
         })
         .collect();
-    for Moved { positions, normals, gradients, figures } in moved {
+    for Moved { positions, normals, gradients, figures, expected } in moved {
         let (mut of_normals, mut of_figures) = (normals.chunks_mut(most), figures.chunks_mut(most));
-        let mut of_gradients = gradients.chunks_mut(most);
+        let (mut of_gradients, mut of_expected) = (gradients.chunks_mut(most), expected.chunks_mut(most));
         for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(most)) {
             let normals = of_normals.next().unwrap_or_default();
             let gradients = of_gradients.next().unwrap_or_default();
             let figures = of_figures.next().unwrap_or_default();
-            block.moved.push(Moved { positions, normals, gradients, figures });
+            let expected = of_expected.next().unwrap_or_default();
+            block.moved.push(Moved { positions, normals, gradients, figures, expected });
         }
     }
     blocks
@@ -277,6 +290,9 @@ impl Workspace {
         }
         if is_blend {
             field.find_within_range(&mut self.grouped);
+            if !moved.expected.is_empty() {
+                field.find_expected(&mut self.grouped);
+            }
         } else {
             self.grouped.is_within_range.clear();
         }
@@ -325,6 +341,11 @@ impl Workspace {
         let places = run.places();
         let vertices = &self.order[run.range()];
         let [x, y, z] = self.grouped.displacement.each_ref().map(|v| &v[places.clone()]);
+        if !moved.expected.is_empty() {
+            for (i, expected) in vertices.iter().zip(&self.grouped.expected[places.clone()]) {
+                moved.expected[*i as usize] = (f64::from(*expected) * frame.scale) as f32;
+            }
+        }
         for (((i, x), y), z) in vertices.iter().zip(x).zip(y).zip(z) {
             let image = &mut moved.positions[*i as usize];
             // Only the displacement is in single precision.
@@ -358,6 +379,7 @@ impl Workspace {
             let i = self.order[at] as usize;
             if !positions[i].is_finite() {
                 moved.figures.get_mut(i).into_iter().for_each(|f| *f = VertexDiagnostics::UNKNOWN);
+                moved.expected.get_mut(i).into_iter().for_each(|expected| *expected = f32::NAN);
                 continue;
             }
             let local = Vec3::from_array(self.local.each_ref().map(|x| x[at]));
@@ -378,7 +400,7 @@ impl Workspace {
         frame: &Frame,
         moved: &mut Moved<'_>,
     ) {
-        let Moved { positions: images, normals, gradients, figures } = moved;
+        let Moved { positions: images, normals, gradients, figures, expected } = moved;
         let BlockVertex { i, home, local, place } = vertex;
         let figures = figures.get_mut(i);
         let is_within_range = self.grouped.is_within_range.get(place);
@@ -390,14 +412,23 @@ impl Workspace {
         } else {
             let dragged_along = field.still_drawn_back(home, local);
             if dragged_along.is_none() {
-                let still = || field.figures(home, local, &Transport::NONE, frame.scale);
+                let still = || field.figures(home, &Transport::NONE, frame.scale, field.is_of_splats);
                 figures.into_iter().for_each(|f| *f = still());
+                expected.get_mut(i).into_iter().for_each(|expected| *expected = 0.0);
                 return;
             }
             dragged_along
         };
         // Only the displacement is in single precision.
         let displacement = one_by_one.map_or_else(|| self.displacement(place), |moved| moved.displacement);
+        if let Some(expected) = expected.get_mut(i) {
+            let off = match is_within_range {
+                _ if !field.active[home] => 0.0,
+                Some(is) if *is > 0.0 => self.grouped.expected[place],
+                _ => field.expected_at(home, local, displacement),
+            };
+            *expected = (f64::from(off) * frame.scale) as f32;
+        }
         images[i] += displacement.as_dvec3() * frame.scale;
         if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
             *n = match one_by_one {
@@ -420,7 +451,7 @@ impl Workspace {
             };
         }
         if let Some(figures) = figures {
-            *figures = field.figures(home, local, &moved, frame.scale);
+            *figures = field.figures(home, &moved, frame.scale, field.is_of_splats);
         }
     }
 

@@ -25,23 +25,16 @@ pub struct VertexDiagnostics {
     pub stretch: [f32; 2],
     /// Whether the surface at the vertex is turned inside out, other than most of the model.
     pub folded: bool,
-    /// Expected error of the vertex's position, in the model's unit.
-    pub expected_error: f32,
-    /// Ratio of length to width that a round splat at the vertex gets.
+    /// Ratio of length to width that a round splat at the vertex gets; NaN where vertices are no splats.
     pub anisotropy: f32,
 }
 
 impl VertexDiagnostics {
     /// The diagnostics of a vertex without a finite position.
-    pub const UNKNOWN: Self = Self {
-        displacement: f32::NAN,
-        stretch: [f32::NAN; 2],
-        folded: false,
-        expected_error: f32::NAN,
-        anisotropy: f32::NAN,
-    };
+    pub const UNKNOWN: Self =
+        Self { displacement: f32::NAN, stretch: [f32::NAN; 2], folded: false, anisotropy: f32::NAN };
 
-    /// Bytes in a file, without the anisotropy.
+    /// Bytes in a file, with the expected error, and without the anisotropy.
     const BYTES: u64 = 21;
 }
 
@@ -59,7 +52,7 @@ pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
 }
 
 /// Whether the vertices are splats that turn with the surface.
-fn has_splats(model: &dyn Model) -> bool {
+pub(super) fn has_splats(model: &dyn Model) -> bool {
     model.following().is_some_and(Following::has_splats)
 }
 
@@ -195,16 +188,22 @@ impl DiagnosticsFile {
         Ok(this)
     }
 
-    /// Writes the next vertices: their positions after the deformation, in the model's coordinates, and as
-    /// many figures.
+    /// Writes the next vertices: their positions after the deformation, in the model's coordinates, as many
+    /// figures, and their expected errors, in the model's unit.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
-    pub fn write(&mut self, positions: &[DVec3], figures: &[VertexDiagnostics]) -> Result<()> {
+    pub fn write(
+        &mut self,
+        positions: &[DVec3],
+        figures: &[VertexDiagnostics],
+        expected: &[f32],
+    ) -> Result<()> {
         let mut bytes = Vec::new();
-        for (positions, figures) in positions.chunks(BLOCK).zip(figures.chunks(BLOCK)) {
+        let blocks = positions.chunks(BLOCK).zip(figures.chunks(BLOCK)).zip(expected.chunks(BLOCK));
+        for ((positions, figures), expected) in blocks {
             bytes.clear();
-            for (p, f) in positions.iter().zip(figures) {
+            for ((p, f), expected) in positions.iter().zip(figures).zip(expected) {
                 match self.scalar {
                     Scalar::F32 => {
                         bytes.extend_from_slice(p.as_vec3().to_array().map(f32::to_le_bytes).as_flattened());
@@ -217,8 +216,8 @@ impl DiagnosticsFile {
                 bytes.extend_from_slice(numbers.as_flattened());
                 bytes.push(f.folded.into());
                 self.folded += u64::from(f.folded);
-                let part = f64::from(f.expected_error) * self.inverse_diagonal;
-                bytes.extend_from_slice([f.expected_error, part as f32].map(f32::to_le_bytes).as_flattened());
+                let part = f64::from(*expected) * self.inverse_diagonal;
+                bytes.extend_from_slice([*expected, part as f32].map(f32::to_le_bytes).as_flattened());
                 if self.of_splats {
                     bytes.extend_from_slice(&f.anisotropy.to_le_bytes());
                 }

@@ -12,10 +12,10 @@ use simod_model::{
     Edit, Edited, Error, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk,
 };
 
-use super::diagnostics::DiagnosticsFile;
+use super::diagnostics::{DiagnosticsFile, has_splats};
 use super::reach::check_reach;
 use super::stream::{Folding, check_targets};
-use super::transfer::{Surveys, locked};
+use super::transfer::{Surveys, VertexFindings, locked};
 use super::{DeformationField, Reconstructed, Reconstruction, Transport, Version, VertexDiagnostics};
 use crate::fingerprint::VertexHash;
 use crate::sampled_model::SampledModel;
@@ -72,7 +72,9 @@ pub fn write_exact(
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
     let surveys = Surveys::new([diagnostics.as_mut()], sampled.bounds.diagonal(), None);
     let hash = Mutex::new(VertexHash::like(&sampled.source.fingerprint));
-    let mut exact = ExactEdit { sampled, field, map, gradients, is_still: false, hash, surveys };
+    let is_of_splats = has_splats(model);
+    let mut exact =
+        ExactEdit { sampled, field, map, gradients, is_still: false, is_of_splats, hash, surveys };
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [file.as_output()];
@@ -98,6 +100,7 @@ pub fn write_exact(
         taken_over: 0,
         folding: vec![Some(folding)],
         expected: vec![expected],
+        around_samples: 0.0,
         hashes: vec![file.hash()],
     })
 }
@@ -152,6 +155,8 @@ struct ExactEdit<'a> {
     gradients: bool,
     /// Whether it is known that no vertex moves.
     is_still: bool,
+    /// Whether vertices are splats, whose anisotropy is told.
+    is_of_splats: bool,
     /// The hash of all vertices' bytes.
     hash: Mutex<VertexHash>,
     surveys: Surveys<'a>,
@@ -165,11 +170,11 @@ impl Edit for ExactEdit<'_> {
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         let moved = self.moved(chunk, versions)?;
-        let mut figures = self.surveys.figures(chunk.len());
-        for figures in figures.iter_mut().filter(|figures| !figures.is_empty()) {
-            *figures = self.figures(&chunk.positions, &moved);
+        let mut findings = self.surveys.findings(chunk.len());
+        for findings in findings.iter_mut().filter(|findings| !findings.figures.is_empty()) {
+            self.find(&chunk.positions, &moved, findings);
         }
-        self.surveys.keep(chunk.first, versions, figures);
+        self.surveys.keep(chunk.first, versions, findings);
         Ok(())
     }
 
@@ -267,23 +272,24 @@ impl ExactEdit<'_> {
         Ok(carried)
     }
 
-    /// Diagnostics of vertices that the map has carried over.
-    fn figures(&self, positions: &[DVec3], carried: &[ExactImage]) -> Vec<VertexDiagnostics> {
+    /// Finds the diagnostics of vertices that the map has carried over.
+    fn find(&self, positions: &[DVec3], carried: &[ExactImage], findings: &mut VertexFindings) {
         let Self { sampled, field, .. } = self;
         let frame = &sampled.frame;
-        let figures = |(p, carried): (&DVec3, &ExactImage)| {
+        let find = |(p, carried): (&DVec3, &ExactImage)| {
             if !p.is_finite() {
-                return VertexDiagnostics::UNKNOWN;
+                return (VertexDiagnostics::UNKNOWN, f32::NAN);
             }
             let local = frame.to_local(*p);
             let home = sampled.samples.nearest(local) as usize;
             let moved = carried.transport(frame.scale, field.shift);
             let rounding = field.written_rounding(local, moved.displacement);
-            VertexDiagnostics {
-                expected_error: (f64::from(rounding) * frame.scale) as f32,
-                ..field.figures(home, local, &moved, frame.scale)
-            }
+            (
+                field.figures(home, &moved, frame.scale, self.is_of_splats),
+                (f64::from(rounding) * frame.scale) as f32,
+            )
         };
-        positions.par_iter().zip(carried).map(figures).collect()
+        let found = positions.par_iter().zip(carried).map(find);
+        found.unzip_into_vecs(&mut findings.figures, &mut findings.expected);
     }
 }

@@ -149,3 +149,9 @@ impl ErrorSums {
 pub(super) fn hypot<const N: usize>(parts: [f32; N]) -> f32 {
     parts.iter().map(|x| x * x).sum::<f32>().sqrt()
 }
+
+/// Error as it is compared with others: infinite where numbers overflow, so that nothing tells it.
+#[inline]
+pub(super) fn infinite_if_untold(error: f32) -> f32 {
+    if error.is_nan() { f32::INFINITY } else { error }
+}

@@ -32,7 +32,9 @@ use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::{Expansion, ROUNDING};
-use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
+use super::expectation::{
+    ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot, infinite_if_untold,
+};
 use super::neighbourhood::Neighbourhood;
 use super::stencils::RING;
 use super::{DeformationField, Method, Moved, blended_jets, carry, unresolved};
@@ -56,7 +58,7 @@ const OF_SPREAD: f32 = 0.45;
 /// Factor by which the supports of the other blend are wider, and the part of its distance from the first one
 /// that counts: no more than this factor times the distance of the home's ring, as a sample that fails may
 /// have all of the wider blend's weight.
-const WIDER: f32 = 2.0;
+pub const WIDER: f32 = 2.0;
 const OF_WIDER: f32 = 0.5;
 
 /// Parts that count of the samples' distances from where the others' expansions take them, and of the largest
@@ -78,7 +80,7 @@ const AMONG: f32 = 0.65;
 /// samples, farther off, tell.
 const SAID: f32 = 0.55;
 const SAID_AROUND: f32 = 0.1;
-const WIDEST: f32 = 3.0;
+pub const WIDEST: f32 = 3.0;
 const SAID_WIDEST: f32 = 0.6;
 
 /// The square of a distance that is far beyond any samples.
@@ -134,8 +136,7 @@ impl DeformationField<'_> {
         let at = |i: &usize| of.frame.to_model(self.around.samples.positions[*i]);
         let rest: Vec<DVec3> = single.iter().map(at).collect();
         let mut carried = rest.clone();
-        let moved = Moved { positions: &mut carried, normals: &mut [], gradients: &mut [], figures: &mut [] };
-        carry(std::slice::from_ref(&self), &of.frame, &rest, None, &mut [moved]);
+        carry(std::slice::from_ref(&self), &of.frame, &rest, None, &mut [Moved::places(&mut carried)]);
         for (i, carried) in single.into_iter().zip(carried) {
             let off = self.place(&of.frame, i).distance(carried) / of.frame.scale;
             let largest = &mut self.expected[i].largest;
@@ -156,7 +157,7 @@ impl DeformationField<'_> {
             let near = self.stencils.ring(i);
             let mut squares = 0.0;
             for j in near.iter().map(|j| *j as usize) {
-                let off = self.halfway(i, j, |i| scales[i]);
+                let off = infinite_if_untold(self.halfway(i, j, |i| scales[i]));
                 squares += off * off;
                 let both_single = !is_single.is_empty() && is_single[i] && is_single[j];
                 if off > 0.0 && !both_single {
@@ -241,21 +242,33 @@ impl DeformationField<'_> {
     /// Expected error of a vertex at `p`, of this home, that goes by `u`; local units. The field has to be
     /// [expecting of vertices](Self::expecting_of_vertices).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
-        let heard = self.heard(home, p, u);
-        let around = self.heard_around(home, p, u);
+        self.expected_by(home, p, u, &self.heard(home, p, u), &self.heard_around(home, p, u))
+    }
+
+    /// Expected error of a vertex by what the samples that reach it tell, and those around.
+    #[inline]
+    pub(super) fn expected_by(
+        &self,
+        home: usize,
+        p: Vec3,
+        u: Vec3,
+        heard: &Heard,
+        around: &HeardAround,
+    ) -> f32 {
         let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
         let further = (heard.beyond(FLAT * radius) / AMONG).max(1.0);
         let disagreement = hypot([OF_LEFT_OUT * heard.left_out / heard.sum, OF_LARGEST * heard.largest]);
         let said = SAID * heard.furthest
             + SAID_AROUND * around.differs
             + SAID_WIDEST * around.apart_by(&around.widest);
-        hypot([
+        let all = hypot([
             OF_SPREAD * (heard.spread / heard.sum).sqrt(),
             OF_WIDER * around.apart_by(&around.wider),
             (further * disagreement).min(said),
             heard.unresolved / heard.sum,
             self.rounding.estimate(p, u),
-        ])
+        ]);
+        infinite_if_untold(all)
     }
 
     /// Sums over the samples whose supports reach a vertex at `p`, of this home, that goes by `u`; over those
@@ -294,9 +307,12 @@ impl DeformationField<'_> {
             wider.add(beyond, apart);
             widest.add(beyond, apart);
         }
-        // Two samples alone do not tell which one fails.
-        let are_two = self.stencils.ring(home).len() < 2;
-        HeardAround { differs: if are_two { furthest } else { differs }, wider, widest }
+        HeardAround { differs: if self.are_two(home) { furthest } else { differs }, wider, widest }
+    }
+
+    /// Whether there are two samples around a home at most, which alone do not tell which one fails.
+    pub(super) fn are_two(&self, home: usize) -> bool {
+        self.stencils.ring(home).len() < 2
     }
 
     /// Expected error of the vertices by that of the samples, each counted for as many vertices as it was the
@@ -348,7 +364,8 @@ impl DeformationField<'_> {
         expected: impl Fn(usize, &Expectation) -> f32,
     ) -> Option<ErrorExcess> {
         let diagonal = of.local_diagonal();
-        let part = |(i, e): (usize, &Expectation)| (i, f64::from(expected(i, e)) / diagonal);
+        let part =
+            |(i, e): (usize, &Expectation)| (i, f64::from(infinite_if_untold(expected(i, e))) / diagonal);
         let beyond = || self.expected.iter().enumerate().map(part).filter(|(_, e)| *e > accepted);
         let (at, worst) = beyond().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))?;
         let more = |(_, e): (usize, f64)| (e / accepted).powf(2.0 / ExpectedError::ORDER) - 1.0;
@@ -364,22 +381,22 @@ impl DeformationField<'_> {
 
 /// Sums over the samples whose supports reach a vertex, each with its weight.
 #[derive(Default)]
-struct Heard {
+pub struct Heard {
     /// Sum of the weights.
-    sum: f32,
+    pub sum: f32,
     /// Weighted squares of the distance of each sample's expansion from the vertex's position.
-    spread: f32,
+    pub spread: f32,
     /// Largest such distance.
-    furthest: f32,
+    pub furthest: f32,
     /// Weighted distance of each sample and its neighbours from where the others' expansions take them.
-    left_out: f32,
+    pub left_out: f32,
     /// Largest disagreement of any of the samples with its neighbours halfway.
-    largest: f32,
+    pub largest: f32,
     /// Weighted error that the gradient across the surface leaves open.
-    unresolved: f32,
+    pub unresolved: f32,
     /// Sums of the samples' places relative to the vertex, and of their products.
-    places: Vec3,
-    products: [Vec3; 3],
+    pub places: Vec3,
+    pub products: [Vec3; 3],
 }
 
 impl Heard {
@@ -389,11 +406,10 @@ impl Heard {
         let d = Vec3::from_array(field.expansions[i].center) - p;
         self.spread += w * off;
         self.furthest = self.furthest.max(off.sqrt());
-        let unknown = Expectation { disagreement: f32::NAN, largest: f32::NAN, left_out: f32::NAN };
-        let Expectation { left_out, largest, .. } = field.expected.get(i).copied().unwrap_or(unknown);
+        let Expectation { left_out, largest, .. } = field.expected[i];
         self.left_out += w * left_out;
         self.largest = self.largest.max(largest);
-        self.unresolved += w * field.unresolved.get(i).map_or(f32::NAN, |open| open.length(-d));
+        self.unresolved += w * field.unresolved[i].length(-d);
         self.places += w * d;
         (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;
@@ -415,13 +431,13 @@ impl Heard {
 
 /// Distances of the expansions of a vertex's home and its neighbours, and of wider blends, from the vertex's
 /// position.
-struct HeardAround {
+pub struct HeardAround {
     /// Second largest distance of an expansion of the home's ring from the vertex's position: a single one
     /// that fails tells nothing. Of two samples in all, the largest distance.
-    differs: f32,
+    pub differs: f32,
     /// Blends of these expansions with wider supports, as distances from the vertex's position.
-    wider: WideBlend,
-    widest: WideBlend,
+    pub wider: WideBlend,
+    pub widest: WideBlend,
 }
 
 impl HeardAround {
@@ -432,12 +448,12 @@ impl HeardAround {
 }
 
 /// Blend, with supports that are `times` as wide, of the distances of expansions from a vertex's position.
-struct WideBlend {
-    times: f32,
+pub struct WideBlend {
+    pub times: f32,
     /// The weighted sum.
-    apart: Vec3,
+    pub apart: Vec3,
     /// The sum of the weights.
-    sum: f32,
+    pub sum: f32,
 }
 
 impl WideBlend {

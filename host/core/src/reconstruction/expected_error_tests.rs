@@ -111,6 +111,21 @@ fn an_expansion_that_fails_counts_only_where_it_has_a_say() {
     assert!(after < 30.0 * before, "{after}, before {before}");
 }
 
+/// Where numbers of single precision overflow, nothing tells the error: it is beyond any tolerance.
+#[test]
+fn an_error_that_nothing_tells_is_infinite() {
+    let samples = wavy_samples();
+    let around = RestGeometry::new(&samples);
+    let mut deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
+    let far = (SIDE * SIDE / 2) as usize;
+    deformed[far] = Vec3::splat(1e25);
+    let field = expecting(&around, &deformed);
+    assert_eq!(field.expected[far].largest, f32::INFINITY);
+    let beside = |d: Vec3| field.expected_at(far, samples.positions[far] + d, Vec3::splat(1e25));
+    let all = [Vec3::ZERO, 0.3 * Vec3::X, 0.5 * Vec3::Z].map(|d| beside(d / SIDE as f32));
+    assert!(all.iter().all(|expected| *expected == f32::INFINITY), "{all:?}");
+}
+
 /// A place of a torus around the y axis, one unit wide, by its angles as parts of a turn; and the normal.
 fn on_torus((u, v): (f32, f32)) -> (Vec3, Vec3) {
     let ((sin_u, cos_u), (sin_v, cos_v)) = ((TAU * u).sin_cos(), (TAU * v).sin_cos());

@@ -51,6 +51,8 @@ pub struct DeformationField<'a> {
     pub(super) rounding: Rounding,
     /// The expansions whose gradients turn numbers; empty unless [smooth ones](Self::knowing) are asked for.
     pub(super) turning: Vec<Expansion>,
+    /// Whether vertices are splats, whose anisotropy is told.
+    pub(super) is_of_splats: bool,
 }
 
 impl<'a> DeformationField<'a> {
@@ -95,6 +97,7 @@ impl<'a> DeformationField<'a> {
             unresolved: Vec::new(),
             rounding: Rounding::default(),
             turning: Vec::new(),
+            is_of_splats: false,
         }
     }
 
@@ -135,19 +138,22 @@ impl<'a> DeformationField<'a> {
         &self.folds
     }
 
-    /// Diagnostics at a vertex of this home, at `p`, local coordinates; `scale` is the length of a local
-    /// unit.
-    pub(super) fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> VertexDiagnostics {
+    /// Diagnostics at a vertex of this home, which is a splat or none; `scale` is the length of a local unit.
+    pub(super) fn figures(
+        &self,
+        home: usize,
+        moved: &Transport,
+        scale: f64,
+        is_of_splats: bool,
+    ) -> VertexDiagnostics {
         let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
         let folded = self.folds.contains(home, gradient);
-        let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
         let whole = (displacement.as_dvec3() * scale + self.shift).length() as f32;
-        let [near, expected_error] =
-            [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
+        let near = (f64::from(displacement.length()) * scale) as f32;
         let displacement = if self.shift == DVec3::ZERO { near } else { whole };
-        let anisotropy = follow::anisotropy(gradient);
-        VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
+        let anisotropy = if is_of_splats { follow::anisotropy(gradient) } else { f32::NAN };
+        VertexDiagnostics { displacement, stretch, folded, anisotropy }
     }
 
     /// Copy of this field with smooth gradients for what turns: those of wider neighbourhoods, or `known`

@@ -11,7 +11,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::expectation::{ErrorExcess, ErrorSums};
 use super::homes::Homes;
 use super::transfer_error::TransferError;
-use super::{DeformationField, ExpectedError, Moved, VertexDiagnostics, carry};
+use super::{DeformationField, ExpectedError, Moved, carry};
 use crate::sampled_model::SampledModel;
 
 /// Number of vertices that are carried over at a time, in a pass that writes nothing: so many that all
@@ -31,15 +31,36 @@ const CLUSTER: f32 = 2.0;
 pub struct BeyondTolerance {
     /// Place of the version among those that were asked for.
     pub version: usize,
-    /// Number of these vertices.
-    pub vertices: u64,
+    /// Number of these vertices; `None` where samples told, before any vertex was looked at.
+    pub vertices: Option<u64>,
     /// Excess of the samples around them.
     pub beyond: ErrorExcess,
+    /// About the number of additional samples with which no more than [`ADVISED`](Self::ADVISED) of the
+    /// tolerance is expected around any sample.
+    pub needed: u64,
+}
+
+impl BeyondTolerance {
+    /// Part of the tolerance that a refinement asks for, as density changes around refined places.
+    pub const ADVISED: f64 = 0.5;
+
+    /// Excess around the samples of a version, by what these expect, if there is any.
+    pub fn by_samples(
+        version: usize,
+        field: &DeformationField<'_>,
+        of: &SampledModel,
+        tolerance: f64,
+    ) -> Option<Self> {
+        let beyond = field.expected_beyond(of, tolerance)?;
+        let needed = field.expected_beyond(of, Self::ADVISED * tolerance).map_or(0, |all| all.needed);
+        Some(Self { version, vertices: None, beyond, needed })
+    }
 }
 
 impl fmt::Display for BeyondTolerance {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} vertices are expected to be off by up to {:.1e}", self.vertices, self.beyond.worst)
+        let count = self.vertices.map_or_else(String::new, |vertices| format!("{vertices} "));
+        write!(f, "{count}vertices are expected to be off by up to {:.1e}", self.beyond.worst)
     }
 }
 
@@ -113,7 +134,7 @@ pub struct JudgedVertices {
 /// is a fraction of the diagonal. Where the exact map is known, it is asked at some vertices, and at those
 /// that are expected to be off by more.
 ///
-/// Memory: a chunk of the model, 120 bytes for each of 262 144 vertices, 4 bytes per sample.
+/// Memory: a chunk of the model, 76 bytes for each of 262 144 vertices, 4 bytes per sample.
 ///
 /// # Errors
 /// The model cannot be read, the exact map fails, or the user cancelled.
@@ -175,12 +196,11 @@ impl Judging<'_> {
         let diagonal = self.of.bounds.diagonal().max(f64::MIN_POSITIVE);
         let frame = &self.of.frame;
         let mut found = rest.to_vec();
-        let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
-        let moved =
-            Moved { positions: &mut found, normals: &mut [], gradients: &mut [], figures: &mut figures };
+        let mut expected = vec![0.0; rest.len()];
+        let moved = Moved { expected: &mut expected, ..Moved::places(&mut found) };
         carry(std::slice::from_ref(self.field), frame, rest, None, &mut [moved]);
-        let mut off: Vec<f64> = figures.iter().map(|f| f64::from(f.expected_error) / diagonal).collect();
-        drop(figures);
+        let mut off: Vec<f64> = expected.iter().map(|expected| f64::from(*expected) / diagonal).collect();
+        drop(expected);
         self.compare(first, rest, &found, &mut off)?;
         let is_beyond = |off: &f64| *off > self.accepted;
         off.iter().for_each(|off| self.sums.add(*off, 1));
@@ -214,6 +234,10 @@ impl Judging<'_> {
             // What does not move is not rounded again.
             let written = if found[i] == rest[i] { found[i] } else { info.rounded(found[i]) };
             off[i] = written.distance(image) / diagonal;
+            if off[i].is_nan() {
+                // Numbers overflow there: nothing certifies the vertex.
+                off[i] = f64::INFINITY;
+            }
             if is_chosen(i) {
                 self.truth.add(off[i], 1);
                 self.compared += 1;
@@ -243,20 +267,21 @@ impl DeformationField<'_> {
         judged: &JudgedVertices,
         accepted: f64,
     ) -> Option<ErrorExcess> {
-        let beyond = self.learn_excess(of, &judged.around, accepted)?;
-        Some(ErrorExcess { worst: judged.expected.worst, ..beyond })
+        self.learn_excess(of, &judged.around, accepted, judged.expected.worst)
     }
 
     /// Raises the expected error around each sample (local units), and returns the excess over what is
-    /// accepted (a fraction of the diagonal).
+    /// accepted (a fraction of the diagonal), with the `worst` finite one of the vertices.
     pub(super) fn learn_excess(
         &mut self,
         of: &SampledModel,
         around: &[f32],
         accepted: f64,
+        worst: f64,
     ) -> Option<ErrorExcess> {
         let both = self.expected.iter_mut().zip(around);
         both.for_each(|(expected, off)| expected.largest = expected.largest.max(*off));
-        self.expected_beyond(of, ROUNDED * accepted)
+        let beyond = self.expected_beyond(of, ROUNDED * accepted)?;
+        Some(if beyond.worst.is_finite() { ErrorExcess { worst, ..beyond } } else { beyond })
     }
 }

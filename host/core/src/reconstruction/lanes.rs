@@ -4,7 +4,7 @@
 //! array may stand between (a closure that these call is not), and a test looks that the program holds no
 //! function of a single instruction.
 
-use std::ops::{Add, AddAssign, Mul, Sub};
+use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
 use pulp::Simd;
 
@@ -186,5 +186,14 @@ impl<S: Simd> Mul for Lanes<S> {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         Self(self.0, self.0.mul_f32s(self.1, other.1))
+    }
+}
+
+impl<S: Simd> Div for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self(self.0, self.0.div_f32s(self.1, other.1))
     }
 }

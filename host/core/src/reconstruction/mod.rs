@@ -40,6 +40,7 @@ mod limiter;
 mod near_lists;
 mod neighbourhood;
 mod overlaps;
+mod packet_errors;
 mod packets;
 mod part_file;
 mod parts;

@@ -255,6 +255,7 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
         taken_over: 0,
         folding: vec![folding],
         expected: vec![None],
+        around_samples: 0.0,
         hashes: vec![None],
     }
 }

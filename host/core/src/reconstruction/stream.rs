@@ -20,8 +20,7 @@ use simod_model::{
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
-use super::diagnostics::DiagnosticsFile;
-use super::expectation::ErrorExcess;
+use super::diagnostics::{DiagnosticsFile, has_splats};
 use super::judging::BeyondTolerance;
 use super::reach::check_reach;
 use super::sheets::SHEET_NEIGHBOURS;
@@ -84,8 +83,9 @@ pub struct Reconstruction<'a> {
     /// turn the attributes that [follow](Model::following).
     pub gradients: Option<&'a [Mat3]>,
     /// Tolerance for the expected error of vertices, a fraction of the diagonal at rest: where any is
-    /// expected to be off by more, no version of the same reading is written, and the error's source is
-    /// [`BeyondTolerance`]. Parts and exact images are not judged.
+    /// expected to be off by more, or more is expected around any sample, which is looked at before, no
+    /// version of the same reading is written, and the error's source is [`BeyondTolerance`]. Parts and exact
+    /// images are not judged.
     pub tolerance: Option<f64>,
 }
 
@@ -131,6 +131,9 @@ pub struct Reconstructed {
     /// Expected error of each version; `None` for those that an earlier call had finished, and for another
     /// method than blended jets without diagnostics. Vertices that an earlier call wrote are not counted.
     pub expected: Vec<Option<ExpectedError>>,
+    /// Largest error that is expected around a sample of any version, a fraction of the diagonal; 0 of those
+    /// that an earlier call had finished, and of exact images.
+    pub around_samples: f64,
     /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written
     /// as one [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
     pub hashes: Vec<Option<u128>>,
@@ -143,8 +146,8 @@ pub struct Reconstructed {
 /// are kept if the user cancelled or the disk is full.
 ///
 /// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of
-/// [`Model::rewrite`], and with diagnostics or a tolerance 48 bytes for each vertex of a chunk in flight and
-/// version.
+/// [`Model::rewrite`], and with diagnostics 48 bytes for each vertex of a chunk in flight and version, with
+/// a tolerance alone 4.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled; an output cannot be written, is written by another
@@ -177,6 +180,7 @@ pub fn reconstruct(
         taken_over: 0,
         folding,
         expected,
+        around_samples: 0.0,
         hashes,
     };
     match work.write(versions) {
@@ -186,6 +190,7 @@ pub fn reconstruct(
             taken_over: work.taken_over,
             folding: work.folding,
             expected: work.expected,
+            around_samples: work.around_samples,
             hashes: work.hashes,
         }),
         Err(error) => Err(work.stop(error, versions)),
@@ -306,6 +311,8 @@ struct ReconstructionCall<'a> {
     /// The folding of each version, as far as it is known.
     folding: Vec<Option<Folding>>,
     expected: Vec<Option<ExpectedError>>,
+    /// Largest error that is expected around a sample of any version so far.
+    around_samples: f64,
     hashes: Vec<Option<u128>>,
 }
 
@@ -363,11 +370,14 @@ impl<'a> ReconstructionCall<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = field(self.sampled, self.model, self.how, &around, begun.version.deformed);
+            self.check_samples(&field, begun)?;
             let of_vertices = begun.diagnostics.is_some() || self.how.tolerance.is_some();
-            if of_vertices { field.expecting_of_vertices() } else { field }.prepared()
+            Ok(if of_vertices { field.expecting_of_vertices() } else { field }.prepared())
         };
-        let mut fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
+        let mut fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect::<Result<_>>()?;
         for (field, begun) in fields.iter().zip(&self.pass) {
+            let around = field.expected_beyond(self.sampled, 0.0).map_or(0.0, |all| all.worst);
+            self.around_samples = self.around_samples.max(around);
             self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
         }
         let mut outputs: Vec<&mut dyn Output> = Vec::new();
@@ -423,6 +433,14 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
+    /// Returns an error where more than the tolerance is expected around any sample, before any vertex is
+    /// looked at.
+    fn check_samples(&self, field: &DeformationField<'_>, begun: &Begun<'_>) -> Result<()> {
+        let Some(tolerance) = self.how.tolerance else { return Ok(()) };
+        let beyond = BeyondTolerance::by_samples(begun.number, field, self.sampled, tolerance);
+        beyond.map_or(Ok(()), |beyond| Err(not_written(&begun.version, beyond)))
+    }
+
     /// Returns an error where vertices of a version of the pass are expected to be off by more than the
     /// tolerance.
     fn check_tolerance(
@@ -433,14 +451,11 @@ impl<'a> ReconstructionCall<'a> {
         let Some(tolerance) = self.how.tolerance else { return Ok(()) };
         for ((begun, field), vertices) in self.pass.iter().zip(fields).zip(of_vertices) {
             let Some(vertices) = vertices.as_ref().filter(|vertices| vertices.beyond > 0) else { continue };
-            let beyond = field.learn_excess(self.sampled, &vertices.around, tolerance);
+            let (around, worst) = (&vertices.around, vertices.expected.worst);
+            let beyond = field.learn_excess(self.sampled, around, tolerance, worst);
             let Some(beyond) = beyond else { continue };
-            let beyond = ErrorExcess { worst: vertices.expected.worst, ..beyond };
-            let source = BeyondTolerance { version: begun.number, vertices: vertices.beyond, beyond };
-            let what = format!("{}: {source}, and it is not written", begun.version.output.display());
-            return Err(
-                Error::argument(what, "give a larger tolerance, or add samples there").because(source)
-            );
+            let (version, vertices, needed) = (begun.number, Some(vertices.beyond), beyond.needed);
+            return Err(not_written(&begun.version, BeyondTolerance { version, vertices, beyond, needed }));
         }
         Ok(())
     }
@@ -517,6 +532,12 @@ impl<'a> ReconstructionCall<'a> {
     }
 }
 
+/// Error where a version is not written, as its vertices are expected to be off by more than the tolerance.
+fn not_written(version: &Version<'_>, beyond: BeyondTolerance) -> Error {
+    let what = format!("{}: {beyond}, and it is not written", version.output.display());
+    Error::argument(what, "give a larger tolerance, or add samples there").because(beyond)
+}
+
 /// Hash of all that determines the bytes of a version.
 pub(super) fn key(
     sampled: &SampledModel,
@@ -582,7 +603,8 @@ pub(super) fn field<'a>(
     deformed: &'a DeformedPositions,
 ) -> DeformationField<'a> {
     let field = DeformationField::from_deformed(around, deformed, how.method);
-    let field = field.expecting(&sampled.frame, model.info());
+    let mut field = field.expecting(&sampled.frame, model.info());
+    field.is_of_splats = has_splats(model);
     let known = how.gradients.filter(|known| known.len() == sampled.samples.len());
     let is_smooth = known.is_some() || how.method == Method::BlendedJets;
     if is_smooth && model.following().is_some() { field.knowing(known) } else { field }

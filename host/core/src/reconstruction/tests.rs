@@ -42,8 +42,7 @@ fn carried_with_normals(
 ) -> (Vec<Vec3>, Vec<Vec3>) {
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
-    let moved =
-        Moved { positions: &mut positions, normals: &mut turned, gradients: &mut [], figures: &mut [] };
+    let moved = Moved { normals: &mut turned, ..Moved::places(&mut positions) };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
@@ -218,12 +217,7 @@ fn tangents_turn_as_lines_on_the_surface_do() {
             let field = DeformationField::new(&around, &deformed, method);
             let mut positions = rest.clone();
             let mut gradients = vec![Mat3::IDENTITY; points.len()];
-            let moved = Moved {
-                positions: &mut positions,
-                normals: &mut [],
-                gradients: &mut gradients,
-                figures: &mut [],
-            };
+            let moved = Moved { gradients: &mut gradients, ..Moved::places(&mut positions) };
             carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
             for (p, gradient) in points.iter().zip(&gradients) {
                 let t = tangent(gradient, along(p).extend(1.0), field.is_mirrored());
@@ -241,12 +235,7 @@ fn tangents_turn_as_lines_on_the_surface_do() {
         assert!(field.is_still());
         let mut gradients = vec![Mat3::IDENTITY; points.len()];
         let mut positions = rest.clone();
-        let moved = Moved {
-            positions: &mut positions,
-            normals: &mut [],
-            gradients: &mut gradients,
-            figures: &mut [],
-        };
+        let moved = Moved { gradients: &mut gradients, ..Moved::places(&mut positions) };
         carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
         assert!(gradients.iter().all(|gradient| *gradient == Mat3::IDENTITY));
     }
@@ -302,8 +291,7 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     let rest: Vec<DVec3> = patch(220).map(|p| p.as_dvec3()).collect();
     let carried = |rest: &[DVec3]| {
         let mut positions = rest.to_vec();
-        let moved =
-            Moved { positions: &mut positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
+        let moved = Moved::places(&mut positions);
         carry_on_this_thread(std::slice::from_ref(&field), &LOCAL, rest, None, &mut [moved]);
         positions
     };
@@ -322,18 +310,28 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     }
 }
 
-/// Results of a call for each vertex: the bits of its position and of its normal, and its figures.
-type Bits = ([u64; 3], [u32; 3], [u32; 3]);
+/// Results of a call for each vertex: the bits of its position and of its normal, its figures, and its
+/// expected error.
+type Bits = ([u64; 3], [u32; 3], [u32; 4]);
 
 fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
     let rest: Vec<DVec3> = points.iter().map(|(p, _)| p.as_dvec3()).collect();
     let mut positions = rest.clone();
     let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
     let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
-    let moved =
-        Moved { positions: &mut positions, normals: &mut normals, gradients: &mut [], figures: &mut figures };
+    let mut expected = vec![0.0; if field.expected.is_empty() { 0 } else { rest.len() }];
+    let moved = Moved {
+        normals: &mut normals,
+        figures: &mut figures,
+        expected: &mut expected,
+        ..Moved::places(&mut positions)
+    };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
-    let figures = figures.iter().map(|f| [f.displacement, f.stretch[0], f.stretch[1]].map(f32::to_bits));
+    let expected = expected.into_iter().chain(std::iter::repeat(0.0));
+    let numbers = |(f, expected): (&VertexDiagnostics, f32)| {
+        [f.displacement, f.stretch[0], f.stretch[1], expected].map(f32::to_bits)
+    };
+    let figures = figures.iter().zip(expected).map(numbers);
     let normals = normals.iter().map(|n| n.to_array().map(f32::to_bits));
     let positions = positions.iter().map(|p| p.to_array().map(f64::to_bits));
     positions.zip(normals).zip(figures).map(|((p, n), f)| (p, n, f)).collect()
@@ -372,7 +370,9 @@ proptest::proptest! {
             })
             .collect();
         let method = if barycentric { Method::ProjectedBarycentric } else { Method::BlendedJets };
-        let field = DeformationField::new(&around, &deformed, method);
+        let mut field = DeformationField::new(&around, &deformed, method);
+        field.expected = field.around_samples(&[]);
+        let field = field.expecting_of_vertices();
 
         // Each place three times, with other normals; and once more, with zero of the other sign.
         let mut points: Vec<(Vec3, Vec3)> = Vec::new();
@@ -566,8 +566,7 @@ fn corners_at_one_place_go_where_one_goes() {
         around.cells();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
         let mut positions = corners.clone();
-        let moved =
-            Moved { positions: &mut positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
+        let moved = Moved::places(&mut positions);
         carry(&field, &mut [moved]);
         let counts: Vec<u64> = (0..set.len()).map(|i| around.vertices_of(i)).collect();
         (positions, counts)

@@ -81,15 +81,16 @@ impl Edit for Transfer<'_> {
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         let homes = locked(&self.homes).remove(&chunk.first);
-        let mut figures = self.surveys.figures(chunk.len());
-        self.carry(chunk, homes.as_deref(), versions, &mut figures);
-        self.surveys.judge(self.fields, self.frame, &chunk.positions, &figures);
-        self.surveys.keep(chunk.first, versions, figures);
+        let mut findings = self.surveys.findings(chunk.len());
+        self.carry(chunk, homes.as_deref(), versions, &mut findings);
+        self.surveys.judge(self.fields, self.frame, &chunk.positions, &findings);
+        self.surveys.keep(chunk.first, versions, findings);
         Ok(())
     }
 
     fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
-        self.carry(chunk, None, versions, &mut vec![Vec::new(); versions.len()]);
+        let mut nothing: Vec<VertexFindings> = versions.iter().map(|_| VertexFindings::default()).collect();
+        self.carry(chunk, None, versions, &mut nothing);
         Ok(())
     }
 
@@ -109,17 +110,18 @@ impl Transfer<'_> {
         chunk: &VertexChunk,
         homes: Option<&[u32]>,
         versions: &mut [Edited],
-        figures: &mut [Vec<VertexDiagnostics>],
+        findings: &mut [VertexFindings],
     ) {
         for (edited, field) in versions.iter_mut().zip(self.fields) {
             edited.mirrored = field.is_mirrored();
         }
-        let of_version = |(edited, figures)| -> Moved<'_> {
-            let (edited, figures): (&mut Edited, &mut Vec<VertexDiagnostics>) = (edited, figures);
+        let of_version = |(edited, findings)| -> Moved<'_> {
+            let (edited, findings): (&mut Edited, &mut VertexFindings) = (edited, findings);
             let Edited { positions, normals, gradients, .. } = edited;
-            Moved { positions, normals, gradients, figures }
+            let VertexFindings { figures, expected } = findings;
+            Moved { positions, normals, gradients, figures, expected }
         };
-        let mut moved: Vec<Moved<'_>> = versions.iter_mut().zip(figures).map(of_version).collect();
+        let mut moved: Vec<Moved<'_>> = versions.iter_mut().zip(findings).map(of_version).collect();
         carry_on_this_thread(self.fields, self.frame, &chunk.positions, homes, &mut moved);
     }
 }
@@ -127,8 +129,8 @@ impl Transfer<'_> {
 /// Vertices of those versions that have diagnostics, or are judged. Chunks are surveyed in any order, and
 /// written and summed up in the model's.
 ///
-/// Memory: 48 bytes for each vertex of the chunks in flight and each such version, and 4 bytes per sample
-/// where they are judged.
+/// Memory: 48 bytes for each vertex of the chunks in flight and each version with diagnostics, 4 where it is
+/// only judged, and 4 bytes per sample then.
 pub(super) struct Surveys<'a> {
     versions: Vec<Option<Mutex<Survey<'a>>>>,
     /// Tolerance, a fraction of the diagonal, and the errors of each version's vertices that are beyond it;
@@ -141,7 +143,16 @@ pub(super) struct Surveys<'a> {
     waiting: Mutex<BTreeMap<u64, Vec<SurveyedChunk>>>,
 }
 
-type SurveyedChunk = (Vec<DVec3>, Vec<VertexDiagnostics>);
+type SurveyedChunk = (Vec<DVec3>, VertexFindings);
+
+/// Findings on the vertices of a chunk.
+#[derive(Default)]
+pub(super) struct VertexFindings {
+    /// Diagnostics of the surface at each vertex, where these are written.
+    pub figures: Vec<VertexDiagnostics>,
+    /// Expected error of each vertex, in the model's unit; NaN where it has no finite position.
+    pub expected: Vec<f32>,
+}
 
 /// Diagnostics of a version's vertices up to here.
 struct Survey<'a> {
@@ -179,11 +190,17 @@ impl<'a> Surveys<'a> {
         Self { versions, judging, inverse_diagonal, waiting: Mutex::default() }
     }
 
-    /// Lists for the diagnostics of `vertices` vertices, to be filled in, one for each version; empty for
-    /// versions whose diagnostics are not written.
-    pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
-        let count = |survey: &Option<_>| if survey.is_some() { vertices } else { 0 };
-        self.versions.iter().map(|survey| vec![VertexDiagnostics::UNKNOWN; count(survey)]).collect()
+    /// Lists for the findings on `vertices` vertices, to be filled in, those of each version; empty for
+    /// versions that are not surveyed.
+    pub(super) fn findings(&self, vertices: usize) -> Vec<VertexFindings> {
+        let of_version = |survey: &Option<Mutex<Survey<'_>>>| {
+            let count = |is_asked: bool| if is_asked { vertices } else { 0 };
+            VertexFindings {
+                figures: vec![VertexDiagnostics::UNKNOWN; count(is_written(survey))],
+                expected: vec![0.0; count(survey.is_some())],
+            }
+        };
+        self.versions.iter().map(of_version).collect()
     }
 
     /// Notes which vertices of a chunk are expected to be off by more than is accepted.
@@ -192,34 +209,32 @@ impl<'a> Surveys<'a> {
         fields: &[DeformationField<'_>],
         frame: &Frame,
         rest: &[DVec3],
-        figures: &[Vec<VertexDiagnostics>],
+        findings: &[VertexFindings],
     ) {
         let Some((_, around)) = &self.judging else { return };
-        for ((field, figures), around) in fields.iter().zip(figures).zip(around) {
-            let beyond = rest.iter().zip(figures).filter(|(_, figures)| self.is_beyond(figures));
+        for ((field, findings), around) in fields.iter().zip(findings).zip(around) {
+            let beyond =
+                rest.iter().zip(&findings.expected).filter(|(_, expected)| self.is_beyond(**expected));
             let local = |length: f32| (f64::from(length) / frame.scale) as f32;
-            let noted: Vec<(Vec3, f32)> = beyond
-                .map(|(rest, figures)| (frame.to_local(*rest), local(figures.expected_error)))
-                .collect();
+            let noted: Vec<(Vec3, f32)> =
+                beyond.map(|(rest, expected)| (frame.to_local(*rest), local(*expected))).collect();
             around.note(field, &noted);
         }
     }
 
-    fn is_beyond(&self, figures: &VertexDiagnostics) -> bool {
-        let expected = f64::from(figures.expected_error) * self.inverse_diagonal;
+    fn is_beyond(&self, expected: f32) -> bool {
+        let expected = f64::from(expected) * self.inverse_diagonal;
         self.judging.as_ref().is_some_and(|(accepted, _)| expected > *accepted)
     }
 
     /// Keeps the findings in a chunk.
-    pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
+    pub(super) fn keep(&self, first: u64, versions: &[Edited], findings: Vec<VertexFindings>) {
         if self.versions.iter().all(Option::is_none) {
             return;
         }
-        let is_written =
-            |survey: &Option<Mutex<Survey<'_>>>| survey.as_ref().is_some_and(|s| locked(s).file.is_some());
         let surveyed =
-            versions.iter().zip(figures).zip(&self.versions).map(|((version, figures), survey)| {
-                (if is_written(survey) { version.positions.clone() } else { Vec::new() }, figures)
+            versions.iter().zip(findings).zip(&self.versions).map(|((version, findings), survey)| {
+                (if is_written(survey) { version.positions.clone() } else { Vec::new() }, findings)
             });
         locked(&self.waiting).insert(first, surveyed.collect());
     }
@@ -227,15 +242,16 @@ impl<'a> Surveys<'a> {
     /// Writes the diagnostics of a chunk, and sums them up.
     pub(super) fn write(&self, first: u64) -> Result<()> {
         let surveyed = locked(&self.waiting).remove(&first).unwrap_or_default();
-        for (survey, (positions, figures)) in self.versions.iter().zip(&surveyed) {
+        for (survey, (positions, VertexFindings { figures, expected })) in self.versions.iter().zip(&surveyed)
+        {
             let Some(survey) = survey else { continue };
             let mut survey = locked(survey);
-            for figures in figures {
-                survey.expected.add(f64::from(figures.expected_error) * self.inverse_diagonal, 1);
-                survey.beyond += u64::from(self.is_beyond(figures));
+            for expected in expected {
+                survey.expected.add(f64::from(*expected) * self.inverse_diagonal, 1);
+                survey.beyond += u64::from(self.is_beyond(*expected));
             }
             if let Some(file) = &mut survey.file {
-                file.write(positions, figures)?;
+                file.write(positions, figures, expected)?;
             }
         }
         Ok(())
@@ -252,6 +268,11 @@ impl<'a> Surveys<'a> {
         };
         self.versions.into_iter().zip(around).map(of_version).collect()
     }
+}
+
+/// Whether a version's diagnostics are written.
+fn is_written(survey: &Option<Mutex<Survey<'_>>>) -> bool {
+    survey.as_ref().is_some_and(|survey| locked(survey).file.is_some())
 }
 
 /// Content of a mutex, whatever became of the thread that held it last.

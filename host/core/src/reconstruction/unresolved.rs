@@ -60,6 +60,12 @@ impl Unresolved {
         self.signed_length(d).abs()
     }
 
+    /// Coefficient of a term, in the order of a fit's terms.
+    #[inline(always)]
+    pub fn term(&self, at: usize) -> f32 {
+        self.0[at]
+    }
+
     fn signed_length(&self, d: Vec3) -> f32 {
         let Vec3 { x, y, z } = d;
         let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;

@@ -17,6 +17,7 @@ mod sizing;
 #[cfg(test)]
 pub(crate) mod tests;
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -76,10 +77,13 @@ impl Finer {
     /// Number of new samples that are allowed for each sample that there is, unless another number is given.
     const SHARE: f64 = 0.25;
 
+    /// Numbers of samples that may be asked for.
+    const COUNTS: RangeInclusive<u64> = 1..=u32::MAX as u64;
+
     /// Whether the numbers are in their range: an error that is finite and not negative (positive for
     /// `Auto`), a finite factor above 1, a count from 1 to 2³² − 1.
     pub fn makes_sense(&self) -> bool {
-        let is_count = |n: u64| (1..=u64::from(u32::MAX)).contains(&n);
+        let is_count = |n: u64| Self::COUNTS.contains(&n);
         match *self {
             Self::Error(e) => e.is_finite() && e >= 0.0,
             Self::Factor(f) => f.is_finite() && f > 1.0,
@@ -296,12 +300,18 @@ fn check(how: &Refining) -> Result<()> {
     let bad = match how.finer {
         Finer::Error(e) => format!("the error bound {e}"),
         Finer::Factor(f) => format!("the factor {f}"),
-        Finer::Samples(n) | Finer::Auto { samples: Some(n @ 0), .. } => format!("the number of {n} samples"),
+        Finer::Samples(n) => format!("the number of {n} samples"),
+        Finer::Auto { samples: Some(n), .. } if !Finer::COUNTS.contains(&n) => {
+            format!("the number of {n} samples")
+        }
         Finer::Auto { error, .. } => format!("the transfer error {error}"),
     };
+    let most = Finer::COUNTS.end();
     Err(Error::argument(
         format!("{bad} is out of range"),
-        "give an error of 0 or more (a fraction of the diagonal), a factor above 1, or at least 1 sample",
+        format!(
+            "give an error of 0 or more (a fraction of the diagonal), a factor above 1, or from 1 to {most} samples"
+        ),
     ))
 }
 

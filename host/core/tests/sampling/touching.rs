@@ -287,8 +287,7 @@ fn off_by(
     let around = RestGeometry::new(&sampled.samples);
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let mut moved = body.positions.clone();
-    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
-    carry(&[field], &sampled.frame, &body.positions, None, to);
+    carry(&[field], &sampled.frame, &body.positions, None, &mut [Moved::places(&mut moved)]);
     let off = |((p, q), part): ((&DVec3, &DVec3), &f64)| q.distance(map(*p, *part));
     body.positions.iter().zip(&moved).zip(part).map(off).collect()
 }

@@ -469,8 +469,11 @@ impl Evaluation {
                 progress.note(&no_more_samples(&need));
             }
             let Some(after) = refined.sampled else {
-                if refined.need.is_none() {
-                    progress.note(nothing_to_refine(step.finer));
+                match refined.need {
+                    None => progress.note(nothing_to_refine(step.finer)),
+                    Some(need) if need.samples > 0 => progress.note(&no_cluster_divided(&need)),
+                    // Told above.
+                    Some(_) => {}
                 }
                 return Ok((sampled.clone(), positions.into()));
             };
@@ -488,6 +491,15 @@ fn no_more_samples(need: &SamplesNeed) -> String {
     let SamplesNeed { expected, allowed, .. } = need;
     let more = format!("more than {allowed:.1e} of the diagonal is expected, up to {expected:.1e}");
     format!("nothing is refined: {more}, but {}", SamplesNeed::NONE_LEFT)
+}
+
+/// Reason for which a deformation gets no more samples where it needs them.
+fn no_cluster_divided(need: &SamplesNeed) -> String {
+    let SamplesNeed { expected, allowed, .. } = need;
+    format!(
+        "nothing is refined: more than {allowed:.1e} of the diagonal is expected, up to {expected:.1e}, but that divides \
+         no cluster any further; shapes and a factor refine whatever is expected"
+    )
 }
 
 /// Reason for which a refinement adds nothing.
