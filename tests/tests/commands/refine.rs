@@ -379,6 +379,17 @@ fn where_no_vertices_are_left_more_is_expected() {
 }
 
 #[test]
+fn a_step_that_refines_nothing_says_so() {
+    let work = Workplace::new().with_plugins("plugins");
+    work.simod("generate -o model.ply --vertices 5000 --shape bar");
+    // So few that the bound rises to where no cluster is divided.
+    let steps = "[[step]]\ndeform = \"warp\"\n[[step]]\nrefine = { auto = true, samples = 1 }\n";
+    work.write_session("model.ply", 500, steps);
+    let outcome = work.simod("run edit.toml");
+    assert!(outcome.stderr.contains("divides no cluster any further"), "{}", outcome.stderr);
+}
+
+#[test]
 fn a_session_refines_where_its_steps_need_it() {
     let work = Workplace::new().with_plugins("plugins");
     work.simod("generate -o model.ply --vertices 120000");

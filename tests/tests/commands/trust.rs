@@ -343,13 +343,14 @@ fn what_is_advised_meets_the_tolerance() {
     let work = Workplace::new();
     work.simod("generate -o model.ply --vertices 30000");
     work.simod("sample model.ply -o model.simod --samples 3000");
-    std::fs::rename(work.path("model.ply"), work.path("my model.ply")).expect("a name");
-    std::fs::rename(work.path("model.simod"), work.path("my model.simod")).expect("a name");
-    work.move_samples("my model.simod", twist);
+    // Names that a shell, or the program, takes for something else unless they are written as paths.
+    std::fs::rename(work.path("model.ply"), work.path("-my model.ply")).expect("a name");
+    std::fs::rename(work.path("model.simod"), work.path("-my model.simod")).expect("a name");
+    work.move_samples("-my model.simod", twist);
     let reconstruct = |tolerance: &str| {
         let line = format!("reconstruct --deformed deformed.ply -o out.ply --tolerance {tolerance}");
         let mut command = work.command(&line);
-        command.args(["my model.simod", "--model", "my model.ply", "--json"]);
+        command.args(["--model=-my model.ply", "--json", "--", "-my model.simod"]);
         Outcome::from(command.output().expect("the program starts"))
     };
     let report = reconstruct("0.1").json();
@@ -365,7 +366,7 @@ fn what_is_advised_meets_the_tolerance() {
         let refined = Outcome::from(command.args(words).output().expect("the program starts"));
         assert_eq!(refined.code, Some(0), "{}", refined.stderr);
         assert!(!refined.stdout.contains("Nothing is changed"), "{}", refined.stdout);
-        work.move_samples("my model.simod", twist);
+        work.move_samples("-my model.simod", twist);
     }
     panic!("the tolerance of {tolerance} is not met");
 }

@@ -545,5 +545,6 @@ mod tests {
         for path in ["model.simod", "my model.simod", "it's.ply", "frame-*.ply"] {
             assert_eq!(shlex::split(&quoted(Path::new(path))), Some(vec![path.to_owned()]));
         }
+        assert_eq!(quoted(Path::new("-model.ply")), "./-model.ply");
     }
 }

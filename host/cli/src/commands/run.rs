@@ -179,7 +179,8 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
 fn describe_cost(cost: &ExactCost, report: &mut Report) {
     report.figure("exact", json!({"evaluations": cost.evaluations, "expected_seconds": cost.seconds}));
     report.line(format!(
-        "every vertex is exact: {} evaluations of the steps, which were expected to take {:.1} s besides reading and writing",
+        "every vertex is exact: {} evaluations of the steps, which were expected to take {:.1} s besides \
+         reading and writing",
         count(cost.evaluations),
         cost.seconds
     ));

@@ -14,7 +14,7 @@
 //! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say,
 //! about 250, of one anchor for about 30 samples; the result takes 144 per sample.
 
-use glam::{DMat3, DVec3, Mat3, Vec3};
+use glam::{DMat3, DVec3, Mat3, Vec3, Vec3A};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -65,6 +65,35 @@ const FACTORS: [[usize; ORDER]; TERMS] = {
     }
     factors
 };
+
+/// Term of the factors of each term without its last one; [`TERMS`] stands for 1.
+const WITHOUT_LAST: [usize; TERMS] = {
+    let (mut all, mut term) = ([TERMS; TERMS], 0);
+    while term < TERMS {
+        all[term] = without(FACTORS[term], last(FACTORS[term]), ORDER);
+        term += 1;
+    }
+    all
+};
+
+/// Last factor of each term, as a coordinate.
+const LAST: [usize; TERMS] = {
+    let (mut all, mut term) = ([0; TERMS], 0);
+    while term < TERMS {
+        all[term] = FACTORS[term][last(FACTORS[term])];
+        term += 1;
+    }
+    all
+};
+
+/// Place of the last factor that is a coordinate.
+const fn last(factors: [usize; ORDER]) -> usize {
+    let mut at = ORDER - 1;
+    while factors[at] == 3 {
+        at -= 1;
+    }
+    at
+}
 
 /// A derivative of a term, along one axis or two: the term, where it goes (an axis, or a pair of these as in
 /// [`Expansion::second`]), the term that it is a multiple of, or 34 for a constant, and that multiple.
@@ -165,7 +194,7 @@ struct Anchor {
     /// The affine map that it goes beyond.
     affine: Mat3,
     /// The terms, in units of the radius; their images are local units.
-    terms: [Vec3; TERMS],
+    terms: [Vec3A; TERMS],
     /// Part of the gradient across the surface that the anchor's neighbours determine, from 0 to 1.
     trust: f32,
     /// One over the square of the radius within which the anchor has a say.
@@ -401,7 +430,7 @@ impl WithSimd for AnchorFit<'_> {
             center: samples.positions[i],
             scale: 0.0,
             affine,
-            terms: [Vec3::ZERO; TERMS],
+            terms: [Vec3A::ZERO; TERMS],
             trust: 0.0,
             inverse_square: 1.0 / of_heard,
         };
@@ -410,10 +439,18 @@ impl WithSimd for AnchorFit<'_> {
         }
         let radius = f64::from(square).sqrt();
         let mut squares = ResidualSquares::new();
-        for j in &near {
-            let d = way(*j).as_dvec3();
-            let moved = (deformed[*j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
-            squares.include(d / radius, moved);
+        let neighbour = |j: u32| {
+            let d = way(j).as_dvec3();
+            let moved = (deformed[j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
+            (d / radius, moved)
+        };
+        for some in near.chunks(AT_ONCE) {
+            // One at the border has no weight.
+            let mut neighbours = [(DVec3::X, DVec3::ZERO); AT_ONCE];
+            for (to, j) in neighbours.iter_mut().zip(some) {
+                *to = neighbour(*j);
+            }
+            squares.include(&neighbours);
         }
         let normal = samples.normals()[i].as_dvec3();
         near.truncate(heard);
@@ -422,7 +459,7 @@ impl WithSimd for AnchorFit<'_> {
         let anchor = match squares.solve(radius * strain(affine.as_dmat3()), normal) {
             Some((terms, trust)) => Anchor {
                 scale: (1.0 / radius) as f32,
-                terms: terms.map(|t| t.as_vec3()),
+                terms: terms.map(|t| t.as_vec3a()),
                 trust: trust as f32,
                 ..none
             },
@@ -435,10 +472,10 @@ impl WithSimd for AnchorFit<'_> {
 impl Anchor {
     /// The product that each term is of at `d` from the anchor, and 1.
     fn products(&self, d: Vec3) -> [f32; TERMS + 1] {
-        let x = (d * self.scale).extend(1.0).to_array();
+        let x = (d * self.scale).to_array();
         let mut products = [1.0; TERMS + 1];
-        for (to, [a, b, c, d]) in products.iter_mut().zip(&FACTORS) {
-            *to = x[*a] * x[*b] * x[*c] * x[*d];
+        for term in 0..TERMS {
+            products[term] = products[WITHOUT_LAST[term]] * x[LAST[term]];
         }
         products
     }
@@ -449,11 +486,11 @@ impl Anchor {
         derivatives: &[Derivative; DERIVATIVES],
         products: &[f32; TERMS + 1],
     ) -> [Vec3; N] {
-        let mut sums = [Vec3::ZERO; N];
+        let mut sums = [Vec3A::ZERO; N];
         for (term, to, product, times) in derivatives {
             sums[*to] += self.terms[*term] * (products[*product] * times);
         }
-        sums
+        sums.map(Vec3::from)
     }
 
     /// The gradient of the map where the products are these.
@@ -470,6 +507,9 @@ impl Anchor {
 
 /// Numbers in a block, as many as the processor takes at once.
 const BLOCK: usize = 8;
+
+/// Number of neighbours that are added to a matrix at a time.
+const AT_ONCE: usize = 4;
 
 /// Length of the rows of a matrix: whole blocks.
 const ROW: usize = TERMS.next_multiple_of(BLOCK);
@@ -498,29 +538,43 @@ impl ResidualSquares {
         Self { matrix, right, weights: 0.0, squared_weights: 0.0, squares: 0.0, largest: 0.0 }
     }
 
-    /// Adds a neighbour at `x`, in units of the radius, that the affine map leaves so far from its image.
+    /// Adds neighbours, each at a place in units of the radius, that the affine map leaves so far from their
+    /// images: one after the other to each number, which stays with the processor meanwhile.
     #[inline(always)]
-    fn include(&mut self, x: DVec3, left: DVec3) {
-        let w = (1.0 - x.length_squared()).max(0.0);
-        let x = [x.x, x.y, x.z, 1.0];
-        let mut terms = [0.0; ROW];
-        for (to, [a, b, c, d]) in terms.iter_mut().zip(&FACTORS) {
-            *to = x[*a] * x[*b] * x[*c] * x[*d];
+    fn include(&mut self, neighbours: &[(DVec3, DVec3); AT_ONCE]) {
+        let (mut weights, mut terms) = ([0.0; AT_ONCE], [[0.0; ROW]; AT_ONCE]);
+        for (at, (x, left)) in neighbours.iter().enumerate() {
+            let w = (1.0 - x.length_squared()).max(0.0);
+            let (x, mut products) = (x.to_array(), [1.0; TERMS + 1]);
+            for term in 0..TERMS {
+                products[term] = products[WITHOUT_LAST[term]] * x[LAST[term]];
+            }
+            terms[at][..TERMS].copy_from_slice(&products[..TERMS]);
+            weights[at] = w;
+            self.weights += w;
+            self.squared_weights += w * w;
+            self.squares += w * left.length_squared();
+            self.largest = self.largest.max(left.length_squared());
         }
         for a in 0..TERMS {
-            let weighted = w * terms[a];
-            let blocks = self.matrix[a].chunks_exact_mut(BLOCK).zip(terms.chunks_exact(BLOCK));
-            for (to, terms) in blocks.take(a / BLOCK + 1) {
-                for at in 0..BLOCK {
-                    to[at] += weighted * terms[at];
-                }
+            let mut weighted = [0.0; AT_ONCE];
+            for at in 0..AT_ONCE {
+                weighted[at] = weights[at] * terms[at][a];
+                self.right[a] += weighted[at] * neighbours[at].1;
             }
-            self.right[a] += weighted * left;
+            for block in 0..=a / BLOCK {
+                let to = &mut self.matrix[a][block * BLOCK..(block + 1) * BLOCK];
+                let mut sums = [0.0; BLOCK];
+                sums.copy_from_slice(to);
+                for at in 0..AT_ONCE {
+                    let terms = &terms[at][block * BLOCK..(block + 1) * BLOCK];
+                    for lane in 0..BLOCK {
+                        sums[lane] += weighted[at] * terms[lane];
+                    }
+                }
+                to.copy_from_slice(&sums);
+            }
         }
-        self.weights += w;
-        self.squared_weights += w * w;
-        self.squares += w * left.length_squared();
-        self.largest = self.largest.max(left.length_squared());
     }
 
     /// Terms, and the part of the one along the normal that the neighbours determine; `extent` is the strain
