@@ -29,7 +29,7 @@ use simod_plugin_api::Time;
 const FEWEST: u64 = 1000;
 
 /// Factor by which there are more first samples when a search that its first samples hold up begins anew.
-const ANEW: u64 = 2;
+const ANEW: u64 = 4;
 
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
