@@ -4,6 +4,11 @@
 //! Each vertex' sums are taken by the same operations in the same order as for a single vertex, so that its
 //! expected error has the same bits in whatever way it was found.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "vectors are compiled for the processor only where they are inlined"
+)]
+
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
