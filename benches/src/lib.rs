@@ -111,10 +111,8 @@ pub fn error_figure(error: f64) -> String {
 ///
 /// # Panics
 /// `values` is empty.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let (low, high) = (values[(values.len() - 1) / 2], values[values.len() / 2]);
-    0.5 * (low + high)
+pub fn median(values: Vec<f64>) -> f64 {
+    simod_measure::median(values).expect("measurements")
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
 use simod_core::sampled_model::SampledModel;
-use simod_measure::{DetailRotation, Difference, Distances, Energies, Spread};
+use simod_measure::{DetailRotation, Difference, Distances, Energies, Spread, median};
 use simod_model::Error;
 use simod_session::deformer::{Message, Plugin};
 use simod_session::params::{ParamValue, Params};
@@ -255,13 +255,6 @@ impl Seconds {
         let (least, most) = all.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
         (all.len() > 1).then_some(0.5 * (most - least))
     }
-}
-
-/// Median: the number in the middle, or the mean of both there.
-fn median(mut numbers: Vec<f64>) -> Option<f64> {
-    numbers.sort_by(f64::total_cmp);
-    let last = numbers.len().checked_sub(1)?;
-    Some(0.5 * (numbers[last / 2] + numbers[numbers.len() / 2]))
 }
 
 impl Comparison {

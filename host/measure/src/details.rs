@@ -11,7 +11,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use simod_geometry::outer;
+use simod_geometry::{outer, polar_rotation};
 
 use super::triangle::{corners, cross, key, pair, sides, sorted};
 
@@ -277,24 +277,11 @@ fn scaled<const N: usize>(places: &[DVec3; N], by: f64) -> [DVec3; N] {
     places.map(|p| p * by)
 }
 
-/// The rotation of a polar decomposition, by Newton's method (N. J. Higham, *Computing the polar
-/// decomposition*, SIAM J. Sci. Stat. Comput. 1986). None where the matrix has no rotation of its own:
-/// singular, or a mirror image.
+/// The rotation of a polar decomposition. None where the matrix has no rotation of its own: singular, or a
+/// mirror image.
 fn rotation_of(matrix: DMat3) -> Option<DMat3> {
     const STEPS: usize = 40;
-    if !(matrix.is_finite() && matrix.determinant() > 1e-9) {
-        return None;
-    }
-    let mut rotation = matrix;
-    for _ in 0..STEPS {
-        let next = (rotation + rotation.inverse().transpose()) * 0.5;
-        let is_done = next.abs_diff_eq(rotation, 1e-14);
-        rotation = next;
-        if is_done {
-            break;
-        }
-    }
-    Some(rotation)
+    (matrix.is_finite() && matrix.determinant() > 1e-9).then(|| polar_rotation(matrix, STEPS, 1e-14))
 }
 
 #[cfg(test)]

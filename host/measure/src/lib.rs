@@ -29,6 +29,6 @@ pub use details::{DetailRotation, Details};
 pub use distance::{DistanceSurface, Distances, OnSurface};
 pub use energy::{Bins, Energies, Histograms};
 pub use size::{OpenMesh, area, area_distortion, edge_distortion, is_closed, volume};
-pub use spread::Spread;
+pub use spread::{Spread, median};
 pub use triangle::Edges;
 pub use vertexwise::{Also, Angles, Difference, VersionsBeside, beside};

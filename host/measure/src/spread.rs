@@ -23,3 +23,22 @@ impl Spread {
         Self { rms: (squares / (last + 1) as f64).sqrt(), p99: *p99, max: max.unwrap_or(*p99) }
     }
 }
+
+/// Median: the number in the middle, or the mean of both there; nothing of no numbers.
+pub fn median(mut numbers: Vec<f64>) -> Option<f64> {
+    numbers.sort_by(f64::total_cmp);
+    let last = numbers.len().checked_sub(1)?;
+    Some(0.5 * (numbers[last / 2] + numbers[numbers.len() / 2]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_median_is_in_the_middle() {
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![4.0, 1.0]), Some(2.5));
+        assert_eq!(median(Vec::new()), None);
+    }
+}

@@ -15,7 +15,7 @@ const RESIDENT: u64 = 64 << 20;
 /// Address and length of each map of this process.
 static MAPS: Mutex<Vec<(usize, usize)>> = Mutex::new(Vec::new());
 
-/// Bytes that were looked at since pages were given back.
+/// Bytes that were looked at so far.
 static LOOKED_AT: AtomicU64 = AtomicU64::new(0);
 
 /// A temporary file as memory to be read.
@@ -62,10 +62,15 @@ impl<M: DerefMut<Target = [u8]>> DerefMut for Mapped<M> {
 /// Tells that about so many bytes of mapped files were used, which are not used again soon: from time to time
 /// all pages go back to the system, which keeps their content.
 pub fn looked_at(bytes: usize) {
-    if LOOKED_AT.fetch_add(bytes as u64, Ordering::Relaxed) + bytes as u64 >= RESIDENT {
-        LOOKED_AT.store(0, Ordering::Relaxed);
+    if is_due(&LOOKED_AT, bytes) {
         MAPS.lock().unwrap_or_else(PoisonError::into_inner).iter().for_each(|place| release(*place));
     }
+}
+
+/// Whether another [`RESIDENT`] bytes are full with these, which the one thread is told that fills them.
+fn is_due(looked_at: &AtomicU64, bytes: usize) -> bool {
+    let before = looked_at.fetch_add(bytes as u64, Ordering::Relaxed);
+    before.wrapping_add(bytes as u64) / RESIDENT != before / RESIDENT
 }
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -93,6 +98,22 @@ mod tests {
         let own = maps.lines().skip_while(|line| !line.starts_with(&begin));
         let line = own.into_iter().find_map(|line| line.strip_prefix("Rss:")).unwrap();
         line.trim().strip_suffix("kB").unwrap().trim().parse::<u64>().unwrap() << 10
+    }
+
+    #[test]
+    fn one_thread_of_several_is_told_to_give_pages_back() {
+        let (looked_at, told) = (AtomicU64::new(0), AtomicU64::new(0));
+        let bytes = RESIDENT / 1000;
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..100_000 {
+                        told.fetch_add(u64::from(is_due(&looked_at, bytes as usize)), Ordering::Relaxed);
+                    }
+                });
+            }
+        });
+        assert_eq!(told.into_inner(), 400_000 * bytes / RESIDENT);
     }
 
     #[test]

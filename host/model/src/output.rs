@@ -8,7 +8,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::claim::Claim;
 use crate::size::human_size;
@@ -149,6 +149,29 @@ pub fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
         ),
         "free some space, or write to another disk",
     ))
+}
+
+/// The disk that a folder is on, where the system tells, and otherwise the folder itself.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Disk(DiskName);
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum DiskName {
+    #[cfg(unix)]
+    Device(u64),
+    Folder(PathBuf),
+}
+
+impl Disk {
+    /// The disk of a folder.
+    pub fn of_folder(folder: &Path) -> Self {
+        #[cfg(unix)]
+        if let Ok(is) = std::fs::metadata(folder) {
+            use std::os::unix::fs::MetadataExt;
+            return Self(DiskName::Device(is.dev()));
+        }
+        Self(DiskName::Folder(folder.to_owned()))
+    }
 }
 
 /// Bytes that the disk of `folder` has room for, where it tells.

@@ -222,8 +222,9 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
 fn parsed(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> Result<ParamValue> {
     let id = &d.id;
     let wrong = |wanted: &str, example: &str| {
+        let given: String = value.to_string().chars().take(40).collect();
         Error::argument(
-            format!("parameter `{id}` of {plugin} is {}, not {wanted}", value.type_str()),
+            format!("parameter `{id}` of {plugin} is {given}, not {wanted}"),
             format!("write it as {id} = {example}"),
         )
     };
@@ -713,7 +714,7 @@ mod tests {
         };
         told("angel = 30", "no parameter `angel`", "did you mean `angle`?");
         told("zzzzzz = 30", "no parameter `zzzzzz`", "angle, count");
-        told("angle = \"x\"", "`angle` of warp is string, not a number", "angle = 90");
+        told("angle = \"x\"", "`angle` of warp is \"x\", not a number", "angle = 90");
         told("angle = 1000", "`angle` is 1000, out of its range", "from -720 to 720");
         told("angle = nan", "`angle` is not a finite number", "");
         told("count = 0", "out of its range", "at least 1");
@@ -729,7 +730,7 @@ mod tests {
         told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "whose x ascend");
         told("weights = \"nowhere.toml\"", "cannot open nowhere.toml", "check the path");
         told("target = \"nowhere.ply\"", "`target`: cannot open nowhere.ply", "check the path");
-        told("target = 3", "`target` of warp is integer, not a text", "target = \"model.ply\"");
+        told("target = 3", "`target` of warp is 3, not a text", "target = \"model.ply\"");
         told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
     }
 

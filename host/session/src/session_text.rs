@@ -153,6 +153,7 @@ impl SessionText<'_> {
     /// The model's file, or the files and patterns of its tiles; its columns and its fingerprint.
     fn model(&self, table: Spanned<ModelTable>) -> Result<NamedModel> {
         let (span, ModelTable { path, tiles, columns, fingerprint }) = (table.span(), table.into_inner());
+        let path = path.filter(|path| !path.as_os_str().is_empty());
         let model = path.map(|path| named_from(self.folder(), &path));
         let hint = "name a file in `path`, or files in `tiles`";
         let Some(named) = tiles else {
@@ -412,7 +413,9 @@ path = "/elsewhere/out.ply"
             assert!(!message.contains('\n') && !error.hint().contains('\n') && !error.hint().is_empty());
         };
         told("[model]\nfile = 1", 2, "`file`");
-        told("[sampling]\nsamples = \"x\"", 2, "string \"x\"");
+        told("[model]\npath = \"\"", 1, "no `path`");
+        told("model = \"x.ply\"", 1, "the text \"x.ply\" stands where a table is wanted");
+        told("[sampling]\nsamples = \"x\"", 2, "the text \"x\"");
         told("[sampling]\nsamples = 1\nerror = 1e-3", 1, "both");
         told("[model\n", 1, "");
         told("[time]\nrate = 0", 1, "`rate` is no number");

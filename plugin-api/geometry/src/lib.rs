@@ -7,7 +7,7 @@ mod sheet;
 
 use glam::{DAffine3, DMat3, DVec3};
 pub use jacobi::jacobi_eigen;
-pub use rotation::{horn_matrix, nearest_rotation};
+pub use rotation::{horn_matrix, nearest_rotation, polar_rotation};
 pub use sheet::{STACKED, STEEPEST, chord_length, sheet_distance};
 
 /// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle

@@ -1,5 +1,6 @@
-//! The rotation that is nearest to a matrix (B. Horn, *Closed-form Solution of Absolute Orientation Using
-//! Unit Quaternions*, 1987).
+//! The rotation that is nearest to a matrix: of any matrix by B. Horn, *Closed-form Solution of Absolute
+//! Orientation Using Unit Quaternions*, 1987; of one that does not mirror by N. J. Higham, *Computing the
+//! Polar Decomposition, with Applications*, SIAM J. Sci. Stat. Comput. 7, 1986.
 
 use crate::jacobi_eigen;
 use glam::{DMat3, DQuat, DVec3};
@@ -30,6 +31,24 @@ pub fn horn_matrix(matrix: DMat3) -> [[f64; 4]; 4] {
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ]
+}
+
+/// The rotation of the polar decomposition of a matrix with a positive determinant, by Newton's method: the
+/// average of the matrix and its inverse transpose, until no entry changes by more than `settled`, or `steps`
+/// times.
+///
+/// It converges in less steps the nearer the singular values are to 1.
+pub fn polar_rotation(matrix: DMat3, steps: usize, settled: f64) -> DMat3 {
+    let mut rotation = matrix;
+    for _ in 0..steps {
+        let next = (rotation + rotation.inverse().transpose()) * 0.5;
+        let is_settled = next.abs_diff_eq(rotation, settled);
+        rotation = next;
+        if is_settled {
+            break;
+        }
+    }
+    rotation
 }
 
 #[cfg(test)]
@@ -68,6 +87,11 @@ mod tests {
                 nearest_rotation(turn * across * DMat3::from_diagonal(values) * across.transpose());
             prop_assert!((singular - values).abs().max_element() < 1e-13 * values.x, "{singular} for {values}");
             prop_assert!(differs(found, turn) < 1e-11, "{found} for {turn}");
+            if !mirrors {
+                let unit = turn * across * DMat3::from_diagonal(values / values.x) * across.transpose();
+                let polar = polar_rotation(unit, 60, 1e-15);
+                prop_assert!(differs(polar, turn) < 1e-11, "{polar} for {turn}");
+            }
         }
     }
 

@@ -1,6 +1,7 @@
 //! Path of a handle from rest to its pose: part of a screw motion, and of its stretches.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
+use simod_geometry::polar_rotation;
 use std::f64::consts::PI;
 
 /// A turn that is this near to a half one has two ways.
@@ -87,22 +88,13 @@ impl Path {
     }
 }
 
-/// The rotation nearest to a map that does not turn anything inside out (N. Higham, SIAM J. Sci. Stat.
-/// Comput. 7, 1986).
+/// The rotation nearest to a map that does not turn anything inside out.
 pub fn turn(map: DMat3) -> Option<DMat3> {
     let size = map.determinant();
     let largest = [map.x_axis, map.y_axis, map.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
     if !(size > 1e-9 * largest.powi(3) && largest.is_finite()) {
         return None;
     }
-    let mut turn = map * size.cbrt().recip();
-    for _ in 0..60 {
-        let next = (turn + turn.inverse().transpose()) * 0.5;
-        let still = next.abs_diff_eq(turn, 1e-15);
-        turn = next;
-        if still {
-            break;
-        }
-    }
+    let turn = polar_rotation(map * size.cbrt().recip(), 60, 1e-15);
     turn.is_finite().then_some(turn)
 }

@@ -14,12 +14,15 @@
 
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
+use simod_geometry::polar_rotation;
 use simod_plugin_api::{PluginError, PluginResult};
 
 /// Scales and shears below this are of rounding.
 const RIGID: f64 = 1e-9;
 /// Newton's method for rotations converges in less steps, or not at all.
 const STEPS: usize = 60;
+/// Change of an entry of a rotation at which the method has settled.
+const SETTLED: f64 = 1e-15;
 
 /// The blend of the joints' motions.
 pub struct Blend {
@@ -155,24 +158,14 @@ fn rigid(real: DVec4, dual: DVec4, p: DVec3) -> DVec3 {
     turned + 2.0 * (real.w * d - dual.w * r + r.cross(d))
 }
 
-/// The nearest rotation of a matrix, by Newton's method for the polar decomposition (N. J. Higham, *Computing
-/// the polar decomposition, with applications*, SIAM J. Sci. Stat. Comput. 7, 1986); nothing if it mirrors or
-/// flattens.
+/// The nearest rotation of a matrix; nothing if it mirrors or flattens.
 fn rotation(matrix: DMat3) -> Option<DMat3> {
     let size = matrix.to_cols_array().iter().fold(0.0_f64, |a, x| a.max(x.abs()));
-    let mut r = matrix * size.recip();
-    if !(size.is_finite() && r.is_finite() && r.determinant() > 1e-12) {
+    let unit = matrix * size.recip();
+    if !(size.is_finite() && unit.is_finite() && unit.determinant() > 1e-12) {
         return None;
     }
-    for _ in 0..STEPS {
-        let next = 0.5 * (r + r.inverse().transpose());
-        let change = (next - r).to_cols_array().iter().fold(0.0_f64, |a, x| a.max(x.abs()));
-        r = next;
-        if change < 1e-15 {
-            break;
-        }
-    }
-    r.is_finite().then_some(r)
+    Some(polar_rotation(unit, STEPS, SETTLED)).filter(DMat3::is_finite)
 }
 
 #[cfg(test)]

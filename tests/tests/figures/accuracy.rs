@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::{DMat3, DVec3};
 use serde_json::Value;
-use simod_tests::{MANY, OPTIMISED, Workplace};
+use simod_tests::{MANY, OPTIMISED, Ply, Workplace};
 
 /// Samples for the model of [`MANY`] vertices.
 const SAMPLES: u64 = MANY / 20;
@@ -68,12 +68,12 @@ fn check(error: &Value, method: &Method) {
 
 /// The error as the test itself finds it: where `exact` sends the vertices, and where they came out.
 ///
-/// The program has to report the same, and not what it would like.
-fn check_figures(operation: &str, degrees: f64, method: &Method, exact: fn(DVec3) -> DVec3) {
+/// The program has to report the same, and not what it would like. Returns the model before and after.
+fn check_figures(operation: &str, degrees: f64, method: &Method, exact: fn(DVec3) -> DVec3) -> [Ply; 2] {
     let (work, error) = warped(operation, degrees, method);
     check(&error, method);
-    let before = work.ply("amphora.ply");
-    let (rest, after, diagonal) = (before.positions(), work.ply("edited.ply").positions(), before.diagonal());
+    let (before, edited) = (work.ply("amphora.ply"), work.ply("edited.ply"));
+    let (rest, after, diagonal) = (before.positions(), edited.positions(), before.diagonal());
     let deviations: Vec<f64> =
         rest.iter().zip(&after).map(|(p, q)| exact(*p).distance(*q) / diagonal).collect();
     let rms = (deviations.iter().map(|d| d * d).sum::<f64>() / deviations.len() as f64).sqrt();
@@ -82,27 +82,26 @@ fn check_figures(operation: &str, degrees: f64, method: &Method, exact: fn(DVec3
         let there = figure(&error, name);
         assert!((here / there - 1.0).abs() < 0.01, "{name} is {here:.3e}, but reported as {there:.3e}");
     }
+    [before, edited]
 }
 
 #[test]
-fn half_turn_twist() {
-    METHODS.iter().for_each(|method| check_figures("twist", 180.0, method, twist));
+fn half_turn_twist_and_its_normals() {
+    for method in &METHODS {
+        let models = check_figures("twist", 180.0, method, twist);
+        check_normals_after_twist(&models, method);
+    }
 }
 
 #[test]
 fn quarter_turn_bend() {
-    METHODS.iter().for_each(|method| check_figures("bend", 90.0, method, bend));
+    for method in &METHODS {
+        check_figures("bend", 90.0, method, bend);
+    }
 }
 
 /// Normals go with the inverse transpose of the map's gradient, and keep their length.
-#[test]
-fn normals_of_a_twist() {
-    METHODS.iter().for_each(normals_after);
-}
-
-fn normals_after(method: &Method) {
-    let (work, _) = warped("twist", 180.0, method);
-    let (before, after) = (work.ply("amphora.ply"), work.ply("edited.ply"));
+fn check_normals_after_twist([before, after]: &[Ply; 2], method: &Method) {
     let pairs = before.normals().into_iter().zip(after.normals());
     let mut degrees = Vec::new();
     for (p, (n, m)) in before.positions().into_iter().zip(pairs) {

@@ -17,6 +17,7 @@
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::Arch;
 use rayon::prelude::*;
+use simod_model::long_list::LongList;
 
 use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
@@ -174,10 +175,11 @@ struct Anchor {
 
 /// Expansions by whose gradients numbers turn: those of the samples, corrected by the anchors' gradients
 /// across the surface and their second order. `fitted` has the affine maps.
-pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
+pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> LongList<Expansion> {
     let anchors = Anchors::fit(fitted, expansions);
     let positions = &fitted.samples.positions;
-    let told = |(i, e): (usize, &Expansion)| {
+    let told = |i: usize| {
+        let e = &expansions[i];
         if e.is_still() || anchors.are_silent_at(i) {
             return *e;
         }
@@ -197,7 +199,10 @@ pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
         let second = std::array::from_fn(|at| own_second[at] + second[at] / sum);
         e.with_slope(e.slope() + more).with_second(second)
     };
-    expansions.par_iter().inspect(seen(fitted)).enumerate().map(told).collect()
+    // The system's own zeros: the threads that fill them touch them first.
+    let mut all = LongList::zeros(expansions.len(), fitted.samples.storage());
+    each_sample(fitted, expansions).zip(&mut all[..]).for_each(|(i, to)| *to = told(i));
+    all
 }
 
 /// Gradient across the surface by the anchors, compared with that of a sample's own expansion.
@@ -229,7 +234,8 @@ impl ToldAcross {
 pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
     let anchors = Anchors::fit(fitted, expansions);
     let samples = fitted.samples;
-    let told = |(i, e): (usize, &Expansion)| {
+    let told = |i: usize| {
+        let e = &expansions[i];
         if e.is_still() || anchors.are_silent_at(i) {
             return ToldAcross::default();
         }
@@ -253,13 +259,13 @@ pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAc
         let spread = (squares / sum - apart * apart).max(0.0).sqrt();
         ToldAcross { apart, spread, trust: trust / sum }
     };
-    expansions.par_iter().inspect(seen(fitted)).enumerate().map(told).collect()
+    each_sample(fitted, expansions).map(told).collect()
 }
 
-/// Tells that an expansion was gone through, and the neighbours of its sample.
-fn seen(fitted: FitInput<'_>) -> impl Fn(&&Expansion) + Sync + Send {
+/// All samples in order, by jobs that look at their expansions and neighbours.
+fn each_sample(fitted: FitInput<'_>, expansions: &[Expansion]) -> impl IndexedParallelIterator<Item = usize> {
     let bytes = size_of::<Expansion>() + fitted.stencils.bytes_of(1);
-    move |_| fitted.samples.storage().gone_through(bytes)
+    fitted.samples.storage().counted(expansions.len(), bytes)
 }
 
 /// Whether a gradient that differs by `more` from `own`, that of an expansion, may be the map's: its volume
@@ -663,7 +669,7 @@ mod tests {
         let deformed: Vec<Vec3> = samples.positions.iter().map(|p| map(*p)).collect();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets).knowing(None);
         let square = |m: Mat3| m.to_cols_array().iter().map(|x| x * x).sum::<f32>();
-        let all = field.expansions.iter().zip(&field.turning);
+        let all = field.expansions.iter().zip(&field.turning[..]);
         let sum: f32 = all.map(|(a, b)| square(a.slope() - b.slope())).sum();
         (sum / samples.len() as f32).sqrt()
     }

@@ -124,7 +124,7 @@ impl Supports {
 
 /// Radii of the samples' supports, and the distances within which [ranges](super::bound) are known.
 fn reaches(positions: &[Vec3], sheets: &Sheets, storage: &ListStorage) -> (Vec<f32>, Vec<f32>) {
-    let all = || (0..positions.len()).into_par_iter().inspect(|_| storage.gone_through(sheets.bytes_of(1)));
+    let all = || storage.counted(positions.len(), sheets.bytes_of(1));
     let radius = all().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1);
     let ranging = all().map(|i| match sheets.graph().nearest_to(i).get(AROUND - 2) {
         // A little less, as distances are rounded.

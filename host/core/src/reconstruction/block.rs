@@ -256,10 +256,11 @@ impl Workspace {
         positions: &[DVec3],
         moved: &mut Moved<'_>,
     ) {
-        let bytes = field.around.supports.bytes_of(1) + size_of::<Expansion>();
-        field.around.samples.storage().gone_through(bytes * self.runs.len());
         let Moved { normals, gradients, figures, .. } = moved;
         let turning = if gradients.is_empty() { &[][..] } else { &field.turning };
+        let expansions = if turning.is_empty() { 1 } else { 2 };
+        let bytes = field.around.supports.bytes_of(1) + expansions * size_of::<Expansion>();
+        field.around.samples.storage().gone_through(bytes * self.runs.len());
         let is_blend = field.method == Method::BlendedJets;
         if is_blend || !turning.is_empty() {
             self.group_normals(normals);

@@ -111,8 +111,7 @@ pub struct Bound {
 impl Bound {
     /// Bound that all samples set, by their deformed positions.
     pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let seen = |_: &usize| samples.storage().gone_through(sheets.bytes_of(1));
-        let all = (0..deformed.len()).into_par_iter().inspect(seen);
+        let all = samples.storage().counted(deformed.len(), sheets.bytes_of(1));
         Self { edges: all.map(|i| EdgeStretches::around(samples, sheets, deformed, i)).collect() }
     }
 

@@ -93,10 +93,11 @@ impl Folds {
         storage: &ListStorage,
     ) -> Self {
         let all = || 0..expansions.len();
-        let seen = |e: &&Expansion| storage.gone_through(size_of_val(*e));
         let gradient = |e: &Expansion| Mat3::IDENTITY + e.slope();
-        let determinants: Vec<f32> =
-            expansions.par_iter().inspect(seen).map(|e| gradient(e).determinant()).collect();
+        let determinants: Vec<f32> = storage
+            .counted(expansions.len(), size_of::<Expansion>())
+            .map(|i| gradient(&expansions[i]).determinant())
+            .collect();
         let signs = || determinants.iter().zip(is_told).filter(|(_, told)| **told).map(|(d, _)| *d);
         let mirrored = signs().filter(|d| *d < 0.0).count() > signs().filter(|d| *d > 0.0).count();
         let mut folds = Self { samples: 0, first: None, mirrored, near: Vec::new() };

@@ -58,7 +58,7 @@ pub fn write_exact(
     how: &Reconstruction<'_>,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
-    check_targets(model, &[*version], how)?;
+    check_targets(model, &[*version], how, None)?;
     check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
     // Nothing is gone on with: the key is of no use to anybody.

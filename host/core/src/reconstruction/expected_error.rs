@@ -192,8 +192,7 @@ impl DeformationField<'_> {
     /// All samples in order, by jobs that look at their expansions and neighbours.
     fn each_sample(&self) -> impl IndexedParallelIterator<Item = usize> {
         let bytes = size_of::<Expansion>() + self.stencils.bytes_of(1);
-        let seen = move |_: &usize| self.around.samples.storage().gone_through(bytes);
-        (0..self.expansions.len()).into_par_iter().inspect(seen)
+        self.around.samples.storage().counted(self.expansions.len(), bytes)
     }
 
     /// Square of the distance of a sample from where the blend of its neighbours alone takes it; where none

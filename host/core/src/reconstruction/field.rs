@@ -50,7 +50,7 @@ pub struct DeformationField<'a> {
     pub(super) unresolved: Vec<Unresolved>,
     pub(super) rounding: Rounding,
     /// The expansions whose gradients turn numbers; empty unless [smooth ones](Self::knowing) are asked for.
-    pub(super) turning: Vec<Expansion>,
+    pub(super) turning: LongList<Expansion>,
 }
 
 impl<'a> DeformationField<'a> {
@@ -72,8 +72,7 @@ impl<'a> DeformationField<'a> {
         };
         let moves: Vec<bool> = expansions.par_iter_mut().zip(&supports.radius).map(supported).collect();
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
-        let seen = |_: &usize| storage.gone_through(supports.bytes_of(1));
-        let active = (0..samples.len()).into_par_iter().inspect(seen);
+        let active = storage.counted(samples.len(), supports.bytes_of(1));
         let active = active.map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &troubled, storage);
         let bound = Bound::new(samples, sheets, deformed);
@@ -94,7 +93,7 @@ impl<'a> DeformationField<'a> {
             expected: Vec::new(),
             unresolved: Vec::new(),
             rounding: Rounding::default(),
-            turning: Vec::new(),
+            turning: LongList::default(),
         }
     }
 
@@ -155,12 +154,11 @@ impl<'a> DeformationField<'a> {
     ///
     /// Memory: 136 bytes per sample.
     pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
-        let exact = |(e, known): (&Expansion, &Mat3)| e.with_slope(*known - Mat3::IDENTITY);
-        let told = across::told(self.fit_input(), &self.expansions);
-        self.turning = match known {
-            Some(known) => told.iter().zip(known).map(exact).collect(),
-            None => told,
-        };
+        self.turning = across::told(self.fit_input(), &self.expansions);
+        if let Some(known) = known {
+            let all = self.turning.par_iter_mut().zip(known);
+            all.for_each(|(e, known)| *e = e.with_slope(*known - Mat3::IDENTITY));
+        }
         self
     }
 

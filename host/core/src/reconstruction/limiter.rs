@@ -73,12 +73,10 @@ impl Limiter {
         }
         let n = expansions.len();
         let around = |i: usize| supports.of_home(i).iter().map(|r| r.sample as usize);
-        let seen = |_: &usize| storage.gone_through(supports.bytes_of(1));
         let mut of_sample = vec![NONE; n];
         troubled.iter().zip(0..).for_each(|((i, _), at)| of_sample[*i as usize] = at);
-        let concerned: Vec<bool> = (0..n)
-            .into_par_iter()
-            .inspect(seen)
+        let concerned: Vec<bool> = storage
+            .counted(n, supports.bytes_of(1))
             .map(|home| around(home).any(|i| of_sample[i] != NONE))
             .collect();
         let mut this = Self { concerned, place: vec![NONE; n], held: Vec::new() };

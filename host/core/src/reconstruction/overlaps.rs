@@ -110,8 +110,7 @@ impl OneWay {
             }
             _ => (-1.0, 0),
         };
-        let seen = |_: &usize| storage.gone_through(sheets.bytes_of(1));
-        let last: Vec<(f32, u32)> = (0..n).into_par_iter().inspect(seen).map(last).collect();
+        let last: Vec<(f32, u32)> = storage.counted(n, sheets.bytes_of(1)).map(last).collect();
         let job = |job: usize| {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
             storage.gone_through(sheets.bytes_of(samples.len()));

@@ -127,6 +127,7 @@ pub fn write_part(
     // Here, on all threads of the pool.
     around.cells();
     drop(reusing);
+    sampled.samples.storage().tell_refusal(progress);
     let transfer = Transfer {
         fields: &fields,
         frame: &sampled.frame,
@@ -239,7 +240,7 @@ pub fn join_parts(
             joining.in_place(shared)?
         }
         _ => {
-            check_targets(model, std::slice::from_ref(version), how)?;
+            check_targets(model, std::slice::from_ref(version), how, None)?;
             let sent =
                 if let (SharedTarget::Object(_, id), true) = (shared, in_place) { Some(id) } else { None };
             joining.one_after_the_other(sent)?

@@ -74,7 +74,7 @@ impl Sheets {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
         let mut links = vec![Links::default(); samples.len()];
         links.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, links)| {
-            samples.storage().gone_through(size_of::<u32>() * graph.k() * links.len());
+            samples.storage().gone_through(graph.bytes_of(links.len()));
             Arch::new().dispatch(Linking { positions, normals, graph, first: chunk * TOGETHER, links });
         });
         let mut is_told = vec![false; samples.len()];
@@ -83,7 +83,7 @@ impl Sheets {
         }
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
-            samples.storage().gone_through(size_of::<u32>() * graph.k());
+            samples.storage().gone_through(graph.bytes_of(1));
             let contacts = samples.contacts().filter(|_| is_told[i]);
             let told = contacts.and_then(|contacts| contacts.same_sheet(i));
             if let Some(same) = told.filter(|same| same.len() >= LEAST) {
@@ -250,7 +250,7 @@ impl Sheets {
 
     /// Bytes of the lists of so many samples, about.
     pub fn bytes_of(&self, samples: usize) -> usize {
-        size_of::<u32>() * self.graph.k() * samples
+        self.graph.bytes_of(samples)
     }
 
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.

@@ -11,8 +11,9 @@ use glam::{DVec3, Mat3};
 use simod_model::input::Identity;
 use simod_model::memory::Reusing;
 use simod_model::object::{self, is_object};
-use simod_model::output::check_space;
+use simod_model::output::{Disk, check_space};
 use simod_model::resumable_output::{FinishedOutput, OpenedOutput, OutputPaths, ResumableOutput};
+use simod_model::size::human_size;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{
     Error, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
@@ -21,6 +22,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
+use super::expansion::Expansion;
 use super::expectation::ErrorExcess;
 use super::judging::BeyondTolerance;
 use super::reach::check_reach;
@@ -30,6 +32,7 @@ use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry
 use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
+use crate::sampling::SampleSet;
 
 /// Revision, counted up whenever the same inputs give other bytes: an earlier program's unfinished output is
 /// not gone on with then.
@@ -38,6 +41,9 @@ const REVISION: u32 = 15;
 /// Most samples of a reconstruction: a home's list has at most the home, its neighbours, and those whose
 /// neighbour it is, which are as many on average, and all entries are numbered by 32 bits.
 const MOST_SAMPLES: usize = u32::MAX as usize / (2 * SHEET_NEIGHBOURS + 1);
+
+/// Bytes of a sample's entries in the long lists at rest, about: neighbours, and supports that reach it.
+const LISTED_AT_REST: usize = 420;
 
 /// Most bytes of the model whose work is lost when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
@@ -159,7 +165,7 @@ pub fn reconstruct(
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
-    check_targets(model, versions, how)?;
+    check_targets(model, versions, how, Some(&sampled.samples))?;
     check_number(sampled)?;
     check_reach(sampled, model, versions.iter().map(|version| version.deformed))?;
     if let Some(cost) = sampled.source.cost_of_order() {
@@ -206,14 +212,70 @@ fn check_number(sampled: &SampledModel) -> Result<()> {
     ))
 }
 
-/// An error where an output is the model or two are the same, or the disk has no room for them.
-pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
+/// An error where an output is the model or two are the same, or the disk has no room for them and for the
+/// lists of `samples` in files beside them, if any are still to be made.
+pub(super) fn check_targets(
+    model: &dyn Model,
+    versions: &[Version<'_>],
+    how: &Reconstruction,
+    samples: Option<&SampleSet>,
+) -> Result<()> {
     let targets = checked_targets(model, versions, how)?;
-    let mut rooms: BTreeMap<&Path, (&Path, u64)> = BTreeMap::new();
-    for (target, (output, needed)) in &targets {
-        rooms.entry(folder_of(target)).or_insert((output, 0)).1 += needed;
+    let outputs = targets.iter().map(|(target, (output, needed))| (*output, folder_of(target), *needed));
+    let lists = samples.and_then(|samples| {
+        Some((samples.storage().folder()?, listed_bytes(samples, versions.len().min(MAX_VERSIONS))))
+    });
+    rooms(outputs, lists).into_iter().try_for_each(|Room { output, folder, needed, lists }| {
+        check_space(output, folder, needed.saturating_add(lists)).map_err(|error| match lists {
+            0 => error,
+            _ => {
+                let hint = format!(
+                    "{}; {} of it are for temporary files, with lists of the samples",
+                    error.hint(),
+                    human_size(lists)
+                );
+                error.hinting(hint)
+            }
+        })
+    })
+}
+
+/// Room that is needed on a disk.
+#[derive(Debug, PartialEq, Eq)]
+struct Room<'a> {
+    /// One of the outputs there, and its folder.
+    output: &'a Path,
+    folder: &'a Path,
+    /// Bytes of all outputs there.
+    needed: u64,
+    /// Bytes of lists in temporary files there.
+    lists: u64,
+}
+
+/// Rooms of outputs, each with its folder and bytes, disk by disk, and on one of these that of `lists`:
+/// elsewhere lists take no room from outputs, and are in memory where they find none.
+fn rooms<'a>(
+    outputs: impl Iterator<Item = (&'a Path, &'a Path, u64)>,
+    lists: Option<(&Path, u64)>,
+) -> Vec<Room<'a>> {
+    let mut rooms: BTreeMap<Disk, Room<'_>> = BTreeMap::new();
+    for (output, folder, needed) in outputs {
+        let room = rooms.entry(Disk::of_folder(folder));
+        let room = room.or_insert(Room { output, folder, needed: 0, lists: 0 });
+        room.needed = room.needed.saturating_add(needed);
     }
-    rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
+    let room = lists.and_then(|(folder, bytes)| Some((rooms.get_mut(&Disk::of_folder(folder))?, bytes)));
+    if let Some((room, bytes)) = room {
+        room.lists = bytes;
+    }
+    rooms.into_values().collect()
+}
+
+/// Bytes of the lists that are still to be made for so many versions at a time, about.
+fn listed_bytes(samples: &SampleSet, versions: usize) -> u64 {
+    let of_field = size_of::<Expansion>() + size_of::<Mat3>();
+    let at_rest = if RestGeometry::held(samples).is_some() { 0 } else { LISTED_AT_REST };
+    ((at_rest + versions * of_field) * samples.len()) as u64
 }
 
 /// Outputs that are written, by the one name that all paths to each share, with the bytes that it needs; or
@@ -382,6 +444,7 @@ impl<'a> ReconstructionCall<'a> {
             around.cells();
         }
         drop(reusing);
+        self.sampled.samples.storage().tell_refusal(self.progress);
         let judging = self.how.tolerance.map(|tolerance| (tolerance, self.sampled.samples.len()));
         let transfer = Transfer {
             fields: &fields,
@@ -594,5 +657,42 @@ impl Folding {
         let folds = field.folds();
         let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));
         Self { samples: folds.samples, first, vertices: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use simod_model::long_list::ListStorage;
+
+    use super::*;
+
+    #[test]
+    fn lists_take_room_from_outputs_on_their_disk() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [one, other] = ["one", "other"].map(|name| {
+            let path = folder.path().join(name);
+            std::fs::create_dir(&path).expect("a folder");
+            path
+        });
+        let outputs = || {
+            [(Path::new("a"), one.as_path(), 5), (Path::new("b"), other.as_path(), u64::MAX - 7)].into_iter()
+        };
+        let room = |needed, lists| Room { output: Path::new("a"), folder: &one, needed, lists };
+        assert_eq!(rooms(outputs().take(1), Some((&other, 3))), [room(5, 3)]);
+        assert_eq!(rooms(outputs(), None), [room(u64::MAX - 2, 0)]);
+        // Lists on a disk without outputs take nothing from these.
+        assert_eq!(rooms(outputs().take(1), Some((Path::new("/proc"), 3))), [room(5, 0)]);
+    }
+
+    #[test]
+    fn lists_that_are_still_to_be_made_are_counted() {
+        let points = (0..100).map(|i: u16| Vec3::new(f32::from(i % 10), f32::from(i / 10), 0.0));
+        let mut samples = SampleSet::new(points.collect(), Vec::new()).expect("samples");
+        samples.store_lists(ListStorage::in_folder(&std::env::temp_dir()));
+        let field = (size_of::<Expansion>() + size_of::<Mat3>()) as u64;
+        assert_eq!(listed_bytes(&samples, 1), 100 * (420 + field));
+        let _around = RestGeometry::new(&samples);
+        assert_eq!(listed_bytes(&samples, 3), 300 * field);
     }
 }

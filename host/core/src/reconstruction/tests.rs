@@ -285,7 +285,7 @@ fn lists_in_files_carry_vertices_to_the_same_bits() {
         let carried = carried(&field, &vertices).into_iter().map(|p| p.to_array().map(f32::to_bits));
         (kept, expected, carried.collect::<Vec<_>>())
     };
-    let in_files = in_storage(ListStorage::Files(folder.path().to_owned()));
+    let in_files = in_storage(ListStorage::in_folder(folder.path()));
     assert!(in_files == in_storage(ListStorage::Memory));
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
 }

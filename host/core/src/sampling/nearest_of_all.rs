@@ -58,9 +58,9 @@ impl KdTree {
                 found: Vec::new(),
             };
             (0..self.leaves.len()).into_par_iter().for_each_init(batch, |batch, leaf| {
-                storage.gone_through(size_of::<u32>() * k * LEAF);
                 batch.look_up(leaf, |point, found| {
-                    let list = &lists[point as usize * k..];
+                    let list = &lists[point as usize * k..][..k];
+                    storage.gone_through(size_of_val(list));
                     list.iter().zip(found).for_each(|(to, found)| to.store(*found as u32, Ordering::Relaxed));
                 });
             });

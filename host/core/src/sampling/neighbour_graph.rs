@@ -35,6 +35,11 @@ impl NeighbourGraph {
             && self.flat.pass().all(|j| (*j as usize) < samples)
     }
 
+    /// Bytes of the lists of so many samples.
+    pub fn bytes_of(&self, samples: usize) -> usize {
+        size_of::<u32>() * self.k * samples
+    }
+
     /// The neighbours of sample `i`, nearest first.
     #[inline]
     pub fn nearest_to(&self, i: usize) -> &[u32] {

@@ -5,6 +5,7 @@
 use glam::{DVec3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::long_list::ListStorage;
 
 use super::neighbour_graph::NeighbourGraph;
 pub use super::ways::NEIGHBOURS;
@@ -25,18 +26,26 @@ const ORIENT_NEIGHBOURS: usize = 8;
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
 /// only.
 ///
+/// `storage` is the graph's.
+///
 /// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 27 per
 /// sample.
-pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
+pub fn completed(
+    positions: &[Vec3],
+    known: &[Vec3],
+    graph: &NeighbourGraph,
+    storage: &ListStorage,
+) -> Vec<Vec3> {
     let mut across = vec![Vec3::ZERO; positions.len()];
     across.par_chunks_mut(TOGETHER).enumerate().for_each(|(job, across)| {
         let begin = job * TOGETHER;
         let known = known.get(begin..begin + across.len());
         if known.is_none_or(|known| known.contains(&Vec3::ZERO)) {
+            storage.gone_through(graph.bytes_of(across.len()));
             plane_normals(positions, begin, |i| first(graph.nearest_to(i), NEIGHBOURS), across);
         }
     });
-    completed_from(positions, known, graph, &across)
+    completed_from(positions, known, graph, &across, storage)
 }
 
 /// Normals that are complete, of samples whose directions of least variance are known.
@@ -45,6 +54,7 @@ pub fn completed_from(
     known: &[Vec3],
     graph: &NeighbourGraph,
     across: &[Vec3],
+    storage: &ListStorage,
 ) -> Vec<Vec3> {
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
@@ -55,7 +65,8 @@ pub fn completed_from(
         .zip(&missing)
         .filter(|(_, missing)| **missing)
         .for_each(|((n, a), _)| *n = *a);
-    orient(positions, graph, &mut normals, &missing);
+    let edges = edges(positions, graph, &normals, &missing, storage);
+    orient(positions, edges, &mut normals, &missing);
     normals
 }
 
@@ -123,13 +134,23 @@ fn rooms<'a, T>(mut list: &'a mut [T], counts: &[usize]) -> Vec<&'a mut [T]> {
 }
 
 /// The edges of each sample to the nearest few, of which either is `open`.
-fn edges(positions: &[Vec3], graph: &NeighbourGraph, normals: &[Vec3], open: &[bool]) -> Vec<Edge> {
+fn edges(
+    positions: &[Vec3],
+    graph: &NeighbourGraph,
+    normals: &[Vec3],
+    open: &[bool],
+    storage: &ListStorage,
+) -> Vec<Edge> {
     let near = |i: usize| first(graph.nearest_to(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
     // Each edge once, though most are known at both ends.
     let once = |i: usize, j: usize| (i < j || !near(j).contains(&(i as u32))) && (open[i] || open[j]);
     let ends = |i: usize| near(i).iter().map(|j| *j as usize).filter(move |j| once(i, *j));
-    let samples = |job: usize| job * TOGETHER..positions.len().min((job + 1) * TOGETHER);
+    let samples = |job: usize| {
+        let samples = job * TOGETHER..positions.len().min((job + 1) * TOGETHER);
+        storage.gone_through(graph.bytes_of(samples.len()));
+        samples
+    };
     let jobs = (0..positions.len().div_ceil(TOGETHER)).into_par_iter();
     // Counted first: lists that grow would take as much again.
     let counts: Vec<usize> = jobs.map(|job| samples(job).map(|i| ends(i).count()).sum()).collect();
@@ -145,8 +166,7 @@ fn edges(positions: &[Vec3], graph: &NeighbourGraph, normals: &[Vec3], open: &[b
 
 /// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
 /// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
-fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
-    let mut edges = edges(positions, graph, normals, open);
+fn orient(positions: &[Vec3], mut edges: Vec<Edge>, normals: &mut [Vec3], open: &[bool]) {
     // Samples whose normals are known are one part from the beginning.
     let mut parts = OrientedParts::new(positions.len());
     let known = open.iter().position(|open| !open);

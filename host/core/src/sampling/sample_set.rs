@@ -103,9 +103,11 @@ impl SampleSet {
         if self.all_known {
             return &self.known;
         }
+        let completed =
+            |graph: &NeighbourGraph| normals::completed(&self.positions, &self.known, graph, &self.storage);
         self.estimated.get_or_init(|| match self.neighbourhoods.get() {
-            Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
-            None => normals::completed(&self.positions, &self.known, &self.graph_to(normals::NEIGHBOURS)),
+            Some(around) => completed(&around.neighbours),
+            None => completed(&self.graph_to(normals::NEIGHBOURS)),
         })
     }
 
@@ -113,7 +115,8 @@ impl SampleSet {
     /// variance from an earlier step.
     pub(super) fn estimate_normals(&self, graph: &NeighbourGraph, across: &[Vec3]) {
         if !self.all_known {
-            let completed = || normals::completed_from(&self.positions, &self.known, graph, across);
+            let completed =
+                || normals::completed_from(&self.positions, &self.known, graph, across, &self.storage);
             self.estimated.get_or_init(completed);
         }
     }
@@ -363,11 +366,9 @@ impl SampleSet {
 
 impl Neighbourhoods {
     fn new(positions: &[Vec3], neighbours: NeighbourGraph, storage: &ListStorage) -> Self {
-        let seen = |_: &usize| storage.gone_through(size_of::<u32>() * neighbours.k());
         let near = SPACING_NEIGHBOURS.min(neighbours.k());
-        let spacing = (0..positions.len())
-            .into_par_iter()
-            .inspect(seen)
+        let spacing = storage
+            .counted(positions.len(), neighbours.bytes_of(1))
             .map(|i| {
                 let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
                 neighbours.nearest_to(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32

@@ -11,8 +11,9 @@ use glam::Vec3;
 use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{Normals, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::sampling::{SampleSet, Sampling, Target, sample};
 use simod_generate::{ModelOptions, PlyEncoding, write_file as generate};
+use simod_model::long_list::ListStorage;
 use simod_model::progress::Silent;
 use simod_model::{ErrorKind, Model, Progress, Result};
 use tempfile::TempDir;
@@ -30,12 +31,16 @@ const PART: u64 = 200_000;
 
 impl Work {
     fn new(encoding: PlyEncoding) -> Self {
+        Self::of_samples(500, encoding)
+    }
+
+    fn of_samples(samples: u64, encoding: PlyEncoding) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
         let options = ModelOptions { vertices: 200_000, encoding, ..ModelOptions::default() };
         generate(&options, &path, &Silent).unwrap();
         let model = simod_model::open(&path).unwrap();
-        let sampling = Sampling { target: Target::Samples(500), ..Sampling::default() };
+        let sampling = Sampling { target: Target::Samples(samples), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
         let bent = |version: usize| {
             let bend = |p: &Vec3| *p + Vec3::new(0.1 * version as f32 * p.y * p.y, 0.0, 0.1);
@@ -373,5 +378,29 @@ fn threads_do_not_change_a_byte_of_several_versions() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| work.write(&versions, &how(false), &Silent)).unwrap();
         work.check(&versions, &expected);
+    }
+}
+
+#[test]
+fn lists_that_no_file_has_room_for_are_told_and_change_nothing() {
+    let mut work = Work::of_samples(12_000, PlyEncoding::BinaryLittleEndian);
+    let mut store = |storage: ListStorage, expected: Option<&[Vec<u8>]>| {
+        let samples = &work.sampled.samples;
+        let mut again = SampleSet::new(samples.positions.clone(), samples.known_normals().to_vec()).unwrap();
+        again.store_lists(storage);
+        work.sampled.samples = again;
+        let Some(expected) = expected else {
+            return (work.expected(&[1], Normals::Transform), String::new());
+        };
+        let watch = Watch::new(u64::MAX);
+        work.write(&[1], &Reconstruction::default(), &watch).unwrap();
+        work.check(&[1], expected);
+        (Vec::new(), watch.note())
+    };
+    let (expected, _) = store(ListStorage::Memory, None);
+    let folder = std::env::temp_dir();
+    for (folder, is_told) in [(folder.clone(), false), (folder.join("nowhere at all"), true)] {
+        let (_, told) = store(ListStorage::in_folder(&folder), Some(&expected));
+        assert_eq!(told.contains("nowhere at all has no room for temporary files"), is_told, "{told}");
     }
 }
