@@ -3,9 +3,11 @@
 //!
 //! A. George, *Nested Dissection of a Regular Finite Element Mesh*, SIAM J. Numer. Anal. 1973: a set of nodes
 //! is halved, and the nodes that part the halves are eliminated after both. As the nodes lie in space, each
-//! set is halved across its longest extent (J. Gilbert, G. Miller, S.-H. Teng, *Geometric Mesh Partitioning*,
-//! SISC 1998).
+//! set is halved across one of its principal axes (J. Gilbert, G. Miller, S.-H. Teng, *Geometric Mesh
+//! Partitioning*, SISC 1998), at the place where the fewest nodes are next to those beyond. Of these nodes on
+//! both sides the fewest are taken that part the halves (`separator`).
 
+use crate::separator::least_cover;
 use glam::DVec3;
 use simod_geometry::jacobi_eigen;
 use simod_plugin_api::{Host, PluginResult};
@@ -13,7 +15,14 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Sets of so few nodes are not halved.
-const LEAF: usize = 24;
+const LEAF: usize = 16;
+/// Sets of fewer nodes are cut across their longest axis: the others gain next to nothing there.
+const LARGE: usize = 2048;
+/// Least part of a set's nodes on either side of a cut.
+const LEAST_SIDE: f64 = 0.3;
+/// Increase of a cut's cost, as a part of it, for each of the set's nodes by which the cut is off the middle,
+/// as a part of all.
+const UNEVEN: f64 = 2.0;
 /// Nodes that are eliminated at once, at most.
 const MOST_AT_ONCE: usize = 256;
 /// Into about so many subtrees the tree is cut, whatever the number of threads.
@@ -138,8 +147,7 @@ impl EliminationTree {
 
 /// Halves sets again and again, and puts `nodes` in the sets' order. The first set is that of all.
 fn dissect(nodes: &mut [u32], pattern: &Pattern, at: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<Set>> {
-    // Half that each node is in; other threads look as well, but for halves of theirs.
-    let half_of: Vec<AtomicU32> = (0..nodes.len()).map(|_| AtomicU32::new(0)).collect();
+    let places = Places((0..nodes.len()).map(|_| AtomicU32::new(0)).collect());
     let mut sets = vec![Set { nodes: 0..nodes.len(), ..Set::default() }];
     let mut level = 0..1;
     while !level.is_empty() {
@@ -151,16 +159,16 @@ fn dissect(nodes: &mut [u32], pattern: &Pattern, at: &[DVec3], host: &Host<'_>) 
             let range = sets[set].nodes.clone();
             let (own, after) = rest.split_at_mut(range.start - passed).1.split_at_mut(range.len());
             (rest, passed) = (after, range.end);
-            tasks.push((set as u32, own, [0; 2]));
+            tasks.push((set, own, [0; 2]));
         }
         // Few sets are large, and each is a task then.
         let together = tasks.len().div_ceil(4 * SUBTREES);
         host.parallel_blocks(&mut tasks, together, |_, tasks| {
-            for (set, nodes, halves) in tasks.iter_mut().filter(|t| t.1.len() > LEAF) {
-                *halves = halve(nodes, [2 * *set + 1, 2 * *set + 2], &half_of, pattern, at);
+            for (_, nodes, halves) in tasks.iter_mut().filter(|t| t.1.len() > LEAF) {
+                *halves = halve(nodes, &places, pattern, at);
             }
         })?;
-        let halved: Vec<(usize, [usize; 2])> = tasks.into_iter().map(|(s, _, h)| (s as usize, h)).collect();
+        let halved: Vec<(usize, [usize; 2])> = tasks.into_iter().map(|(s, _, h)| (s, h)).collect();
         for (set, halves) in halved {
             let mut start = sets[set].nodes.start;
             for count in halves.into_iter().filter(|count| *count > 0) {
@@ -176,50 +184,93 @@ fn dissect(nodes: &mut [u32], pattern: &Pattern, at: &[DVec3], host: &Host<'_>) 
     Ok(sets)
 }
 
-/// Sorts nodes by the half that they are in, those between last; gives the halves' sizes. `names` are the
-/// halves', of no others.
-fn halve(
-    nodes: &mut [u32],
-    names: [u32; 2],
-    half_of: &[AtomicU32],
-    pattern: &Pattern,
-    at: &[DVec3],
-) -> [usize; 2] {
-    let axis = longest_axis(nodes, at);
-    let mut along: Vec<(f64, u32)> = nodes.iter().map(|i| (at[*i as usize].dot(axis), *i)).collect();
-    let middle = along.len() / 2;
-    along.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    for (k, (_, i)) in along.iter().enumerate() {
-        half_of[*i as usize].store(names[usize::from(k >= middle)], Ordering::Relaxed);
+/// Place of each node in the order of the set that is being halved; other threads look as well, but for
+/// places in sets of theirs.
+struct Places(Vec<AtomicU32>);
+
+impl Places {
+    /// Notes the places of a set's nodes.
+    fn note(&self, along: &[u32]) {
+        (0..).zip(along).for_each(|(place, i)| self.0[*i as usize].store(place, Ordering::Relaxed));
     }
-    // The separator: the nodes next to the other half, of whichever half has fewer.
-    let touches = |i: u32, half: u32| {
-        pattern.around(i).iter().any(|j| half_of[*j as usize].load(Ordering::Relaxed) == half)
-    };
-    let border = |side: usize| -> Vec<bool> {
-        let half = if side == 0 { &along[..middle] } else { &along[middle..] };
-        half.iter().map(|(_, i)| touches(*i, names[1 - side])).collect()
-    };
-    let borders = [border(0), border(1)];
-    let sizes = borders.each_ref().map(|b| b.iter().filter(|b| **b).count());
-    let parting = usize::from(sizes[1] < sizes[0]);
-    let mut next = [0, middle, nodes.len() - sizes[parting]];
-    if parting == 0 {
-        next[1] -= sizes[0];
+
+    /// Places of those nodes of a set, in its order, that share an entry with the one at a place.
+    fn around<'a>(
+        &'a self,
+        along: &'a [u32],
+        place: usize,
+        pattern: &'a Pattern,
+    ) -> impl Iterator<Item = usize> + 'a {
+        let others = pattern.around(along[place]).iter();
+        let place_of = |i: &u32| (self.0[*i as usize].load(Ordering::Relaxed) as usize, *i);
+        others.map(place_of).filter(|(place, i)| along.get(*place) == Some(i)).map(|(place, _)| place)
     }
-    let starts = next;
-    for (k, (_, i)) in along.iter().enumerate() {
-        let side = usize::from(k >= middle);
-        let is_between = side == parting && borders[side][k - side * middle];
-        let to = if is_between { 2 } else { side };
-        nodes[next[to]] = *i;
-        next[to] += 1;
-    }
-    [next[0] - starts[0], next[1] - starts[1]]
 }
 
-/// The direction in which nodes extend most.
-fn longest_axis(nodes: &[u32], at: &[DVec3]) -> DVec3 {
+/// A set's nodes, halved.
+struct Cut {
+    /// The nodes along an axis.
+    along: Vec<u32>,
+    /// Number of those in the first half.
+    first: usize,
+    /// Nodes that part the halves, about, and more where these are uneven.
+    cost: f64,
+}
+
+/// Sorts nodes by the half that they are in, those between last; gives the halves' sizes.
+fn halve(nodes: &mut [u32], places: &Places, pattern: &Pattern, at: &[DVec3]) -> [usize; 2] {
+    let axes = principal_axes(nodes, at).into_iter().take(if nodes.len() < LARGE { 1 } else { 3 });
+    let cuts = axes.map(|axis| cut_along(axis, nodes, places, pattern, at));
+    let cheaper = |a: Cut, b: Cut| if b.cost < a.cost { b } else { a };
+    let Some(Cut { along, first, .. }) = cuts.reduce(cheaper) else { return [0; 2] };
+    places.note(&along);
+    let beyond = |k: usize| places.around(&along, k, pattern).filter_map(|place| place.checked_sub(first));
+    let is_between = least_cover([first, along.len() - first], beyond).concat();
+    let half = |k: usize| if is_between[k] { 2 } else { usize::from(k >= first) };
+    let mut sizes = [0; 3];
+    (0..along.len()).for_each(|k| sizes[half(k)] += 1);
+    let mut next = [0, sizes[0], sizes[0] + sizes[1]];
+    for (k, i) in along.iter().enumerate() {
+        nodes[next[half(k)]] = *i;
+        next[half(k)] += 1;
+    }
+    [sizes[0], sizes[1]]
+}
+
+/// The cut across an axis whose cost is least.
+fn cut_along(axis: DVec3, nodes: &[u32], places: &Places, pattern: &Pattern, at: &[DVec3]) -> Cut {
+    let mut along: Vec<(f64, u32)> = nodes.iter().map(|i| (at[*i as usize].dot(axis), *i)).collect();
+    along.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let along: Vec<u32> = along.into_iter().map(|(_, i)| i).collect();
+    places.note(&along);
+    let count = along.len();
+    // Changes, from the cut before, of the numbers of nodes on either side that are next to the other one.
+    let mut changes = vec![[0_i32; 2]; count + 1];
+    for k in 0..count {
+        let (mut least, mut most) = (k, k);
+        for place in places.around(&along, k, pattern) {
+            (least, most) = (least.min(place), most.max(place));
+        }
+        changes[k + 1][0] += 1;
+        changes[most + 1][0] -= 1;
+        changes[least + 1][1] += 1;
+        changes[k + 1][1] -= 1;
+    }
+    let least = ((LEAST_SIDE * count as f64) as usize).max(1);
+    let (mut borders, mut first, mut cost) = ([0; 2], count / 2, f64::INFINITY);
+    for (cut, [one, other]) in changes.into_iter().enumerate().take(count - least + 1).skip(1) {
+        borders = [borders[0] + one, borders[1] + other];
+        let off = (cut as f64 / count as f64 - 0.5).abs();
+        let costs = f64::from(borders[0].min(borders[1]) + 1) * (1.0 + UNEVEN * off);
+        if cut >= least && costs < cost {
+            (first, cost) = (cut, costs);
+        }
+    }
+    Cut { along, first, cost }
+}
+
+/// The directions in which nodes extend, the longest first.
+fn principal_axes(nodes: &[u32], at: &[DVec3]) -> [DVec3; 3] {
     let mean = nodes.iter().map(|i| at[*i as usize]).sum::<DVec3>() / nodes.len() as f64;
     let mut covariance = [[0.0; 3]; 3];
     for i in nodes {
@@ -227,6 +278,7 @@ fn longest_axis(nodes: &[u32], at: &[DVec3]) -> DVec3 {
         (0..3).for_each(|r| (0..3).for_each(|c| covariance[r][c] += v[r] * v[c]));
     }
     let (values, vectors) = jacobi_eigen(covariance);
-    let longest = (0..3).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-    DVec3::from(vectors[longest])
+    let mut axes = [0, 1, 2];
+    axes.sort_by(|a, b| values[*b].total_cmp(&values[*a]));
+    axes.map(|axis| DVec3::from(vectors[axis]))
 }

@@ -23,6 +23,7 @@ mod factor;
 mod front;
 mod kernels;
 mod refusal;
+mod separator;
 mod solve;
 mod structure;
 
