@@ -11,10 +11,10 @@ use simod_session::deformer::line;
 /// Samples of a large case: as many as the interactive tools are made for.
 pub(crate) const LARGE: usize = 200_000;
 
-/// Samples of an ordinary case, of more than one block where a plugin works on blocks of them.
+/// Samples of an ordinary case.
 pub(crate) const ORDINARY: usize = 2000;
 
-/// Samples where a rule tries many cases, or where their number does not matter to it.
+/// Samples where a rule tries many cases.
 pub(crate) const FEW: usize = 500;
 
 /// Distance of samples that lie far outside, in units of the diagonal.

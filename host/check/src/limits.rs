@@ -3,7 +3,7 @@
 use crate::answer::{Listener, PluginRefusal, answer, panicked};
 use crate::case::Case;
 use crate::finding::{Checked, Finding};
-use crate::inputs::{FEW, LARGE};
+use crate::inputs::{LARGE, ORDINARY};
 use crate::subject::{Subject, unwritten};
 use simod_plugin_api::{ErrorCode, PluginResult};
 use std::time::{Duration, Instant};
@@ -73,7 +73,7 @@ fn stopped<T>(call: &str, result: PluginResult<T>) -> Checked<Option<T>> {
 }
 
 pub(crate) fn log(subject: &Subject) -> Checked<Finding> {
-    let (plugin, case) = (&subject.plugin, Case::bumpy_sphere(&subject.plugin, FEW)?);
+    let (plugin, case) = (&subject.plugin, Case::bumpy_sphere(&subject.plugin, ORDINARY)?);
     let host = Listener::patient();
     let state = case.prepare_input(|input| plugin.code().prepare(input, &host));
     let mut most = ("prepare", host.lines());

@@ -48,7 +48,7 @@ pub(crate) fn ordinary(subject: &Subject) -> Checked<Finding> {
 }
 
 pub(crate) fn identity(subject: &Subject) -> Checked<Finding> {
-    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if case.transforms.is_empty() && case.handles.is_empty() && case.strokes.is_empty() {
         return Ok(Finding::skip("it has neither handles nor strokes"));
     }
@@ -85,7 +85,7 @@ pub(crate) fn rigid(subject: &Subject) -> Checked<Finding> {
     if consumes.min_fixed > 0 {
         return Ok(Finding::skip("it needs fixed samples"));
     }
-    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let corner = DVec3::from_array;
     let bounds = Bounds { min: corner(case.bounds.min), max: corner(case.bounds.max) };
     let moved = rows(motion(&bounds, 0));
@@ -161,7 +161,7 @@ pub(crate) fn repeatable(subject: &Subject) -> Checked<Finding> {
 }
 
 pub(crate) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
-    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let before = case.fingerprint();
     let unchanged = |call: &str| {
         if case.fingerprint() == before {
@@ -209,7 +209,7 @@ pub(crate) fn handles(subject: &Subject) -> Checked<Finding> {
     if !plugin.capabilities().handles {
         return Ok(Finding::skip("it places no handles"));
     }
-    let case = Case::bumpy_sphere(plugin, FEW)?;
+    let case = Case::bumpy_sphere(plugin, ORDINARY)?;
     let placed = case.placed_handles(plugin)?;
     if placed != case.placed_handles(plugin)? {
         let hint = "let the handles depend on the input alone";
@@ -250,7 +250,7 @@ pub(crate) fn is_identity(subject: &Subject) -> Checked<Finding> {
         let told = answer("is_identity", case.deform_input(|input| plugin.code().is_identity(input)))?;
         told.map_err(PluginRefusal::of_ordinary)
     };
-    let moved = Case::bumpy_sphere(plugin, FEW)?;
+    let moved = Case::bumpy_sphere(plugin, ORDINARY)?;
     let rest = moved.clone().at_rest();
     for (case, what) in [(&moved, "moved"), (&rest, "at rest")] {
         if ask(case)? {
@@ -269,7 +269,7 @@ pub(crate) fn is_identity(subject: &Subject) -> Checked<Finding> {
 /// A plugin that takes the time deforms at any time, and at the same one always in the same way, whatever
 /// was done between.
 pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
-    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if !subject.plugin.consumes().time {
         return Ok(Finding::skip("it does not take the time"));
     }
@@ -299,7 +299,7 @@ pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
 /// A plugin that takes attributes of the samples works without them, and with values that it does not
 /// expect.
 pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
-    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let Some(usual) = case.attributes.clone() else {
         return Ok(Finding::skip("it takes no attributes of the samples"));
     };
