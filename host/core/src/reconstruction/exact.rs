@@ -83,9 +83,7 @@ pub fn write_exact(
     if sampled.source.fingerprint != locked(&exact.hash).fingerprint() {
         return Err(sampled.source_changed(model.path()));
     }
-    let folds = field.folds();
-    let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));
-    let mut folding = Folding { samples: folds.samples, first, vertices: None };
+    let mut folding = Folding::of_samples(field, sampled);
     let expected = exact.surveys.finish().pop().flatten().map(|vertices| vertices.expected);
     if let Some(diagnostics) = diagnostics {
         folding.vertices = Some(diagnostics.folded);

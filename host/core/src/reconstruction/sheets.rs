@@ -82,38 +82,16 @@ impl Sheets {
             is_told[*i as usize] = true;
         }
         let nowhere = || vec![NOWHERE; samples.len()];
-        let alone = |places: &mut Vec<u8>, i: usize| {
+        let own = |places: &mut Vec<u8>, i: usize| {
             samples.storage().gone_through(graph.bytes_of(1));
             let contacts = samples.contacts().filter(|_| is_told[i]);
             let told = contacts.and_then(|contacts| contacts.same_sheet(i));
-            if let Some(same) = told.filter(|same| same.len() >= LEAST) {
-                return Some(same.to_vec());
-            }
-            let near = graph.nearest_to(i);
-            if links[i].are_all_beside
-                || are_linked(&links, i, near, places)
-                || reached(&links, i, near, places).count_ones() as usize == near.len()
-            {
-                return None;
-            }
-            // Distance within which so many neighbours may be, on a surface.
-            let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
-            let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
-            let about = samples.unsorted_neighbours_about(i, reach, CROWDED_NEIGHBOURS);
-            let seen = reached(&links, i, &about.iter().map(|j| *j as u32).collect::<Vec<_>>(), places);
-            let mut same: Vec<u64> =
-                about.into_iter().enumerate().filter(|(at, _)| seen >> at & 1 == 1).map(|(_, j)| j).collect();
-            if same.len() > SHEET_NEIGHBOURS {
-                same.select_nth_unstable(SHEET_NEIGHBOURS);
-                same.truncate(SHEET_NEIGHBOURS);
-            }
-            counting_sort::sort(&mut same);
-            let same: Vec<u32> = same.into_iter().map(|j| j as u32).collect();
-            // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they
-            // turn: mostly the normal is wrong.
-            (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
+            let same = match told.filter(|same| same.len() >= LEAST) {
+                Some(same) => Some(same.to_vec()),
+                None => own_sheet(samples, &links, i, places),
+            };
+            same.map(|same| (i as u32, same))
         };
-        let own = |places: &mut Vec<u8>, i: usize| alone(places, i).map(|same| (i as u32, same));
         let own = (0..samples.len()).into_par_iter().map_init(nowhere, own).flatten_iter();
         let (stranger_starts, strangers) = Default::default();
         let mut sheets = Self {
@@ -446,6 +424,34 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     }
     near.iter().chain([&(i as u32)]).for_each(|j| places[*j as usize] = NOWHERE);
     left == 0
+}
+
+/// The neighbours of sample `i` on its sheet, nearest first, where links tell that others of its neighbours
+/// are on another one. `places` as of [`reached`].
+fn own_sheet(samples: &SampleSet, links: &[Links], i: usize, places: &mut [u8]) -> Option<Vec<u32>> {
+    let (positions, near) = (&samples.positions, samples.neighbours().nearest_to(i));
+    if links[i].are_all_beside
+        || are_linked(links, i, near, places)
+        || reached(links, i, near, places).count_ones() as usize == near.len()
+    {
+        return None;
+    }
+    // Distance within which so many neighbours may be, on a surface.
+    let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
+    let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
+    let about = samples.unsorted_neighbours_about(i, reach, CROWDED_NEIGHBOURS);
+    let seen = reached(links, i, &about.iter().map(|j| *j as u32).collect::<Vec<_>>(), places);
+    let mut same: Vec<u64> =
+        about.into_iter().enumerate().filter(|(at, _)| seen >> at & 1 == 1).map(|(_, j)| j).collect();
+    if same.len() > SHEET_NEIGHBOURS {
+        same.select_nth_unstable(SHEET_NEIGHBOURS);
+        same.truncate(SHEET_NEIGHBOURS);
+    }
+    counting_sort::sort(&mut same);
+    let same: Vec<u32> = same.into_iter().map(|j| j as u32).collect();
+    // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they turn:
+    // mostly the normal is wrong.
+    (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
 }
 
 /// Samples of `near` (fewer than 127) that links within them reach from sample `i`: a bit for each. `places`

@@ -290,18 +290,7 @@ pub(super) fn checked_targets<'a>(
     versions: &[Version<'a>],
     how: &Reconstruction,
 ) -> Result<BTreeMap<PathBuf, (&'a Path, u64)>> {
-    if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
-        return Err(Error::argument(
-            "diagnostics of an interrupted reconstruction cannot be gone on with",
-            "leave out either --diagnostics or --resume",
-        ));
-    }
-    if how.resume && how.tolerance.is_some() {
-        return Err(Error::argument(
-            "vertices that an interrupted reconstruction has written are not judged any more",
-            "leave out either the tolerance or --resume",
-        ));
-    }
+    check_resumable(versions, how)?;
     let info = model.info();
     // Three numbers take at least six bytes.
     let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
@@ -318,18 +307,8 @@ pub(super) fn checked_targets<'a>(
         let is_model = versions.iter().any(|v| v.output == output);
         let place = OutputPaths::for_model(model, output);
         check_no_source(model, if is_model { place.files() } else { vec![output.to_owned()] })?;
-        if is_model && is_named_otherwise(model, output) {
-            return Err(Error::argument(
-                format!(
-                    "{} is named as if of another format than the model: {}",
-                    output.display(),
-                    info.format
-                ),
-                format!(
-                    "write it with the extension .{}, and then have `simod convert` make another format of it",
-                    model.extensions().first().unwrap_or(&"ply")
-                ),
-            ));
+        if is_model {
+            check_name(model, output)?;
         }
         let target = if is_model { place.checked()? } else { canonical_target(output)? };
         if targets.insert(target, (output, needed)).is_some() {
@@ -340,6 +319,38 @@ pub(super) fn checked_targets<'a>(
         }
     }
     Ok(targets)
+}
+
+/// An error where an interrupted reconstruction cannot be gone on with.
+fn check_resumable(versions: &[Version<'_>], how: &Reconstruction<'_>) -> Result<()> {
+    if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
+        return Err(Error::argument(
+            "diagnostics of an interrupted reconstruction cannot be gone on with",
+            "leave out either --diagnostics or --resume",
+        ));
+    }
+    if how.resume && how.tolerance.is_some() {
+        return Err(Error::argument(
+            "vertices that an interrupted reconstruction has written are not judged any more",
+            "leave out either the tolerance or --resume",
+        ));
+    }
+    Ok(())
+}
+
+/// An error where the output's name is that of another format than the model has.
+fn check_name(model: &dyn Model, output: &Path) -> Result<()> {
+    if !is_named_otherwise(model, output) {
+        return Ok(());
+    }
+    let format = &model.info().format;
+    Err(Error::argument(
+        format!("{} is named as if of another format than the model: {format}", output.display()),
+        format!(
+            "write it with the extension .{}, and then have `simod convert` make another format of it",
+            model.extensions().first().unwrap_or(&"ply")
+        ),
+    ))
 }
 
 /// An error where a file to write is one that the model is in.
@@ -429,25 +440,7 @@ impl<'a> ReconstructionCall<'a> {
         let reusing = Reusing::begin();
         let (binding, around) = self.rest_geometry();
         let is_bound = binding.is_some();
-        let info = self.model.info();
-        let field = |begun: &Begun<'a>| {
-            let field = field(self.sampled, self.model, self.how, &around, begun.version.deformed);
-            self.check_samples(&field, begun)?;
-            let of_vertices = begun.diagnostics.is_some() || self.how.tolerance.is_some();
-            Ok(if of_vertices { field.expecting_of_vertices() } else { field }.prepared())
-        };
-        let mut fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect::<Result<_>>()?;
-        for (field, begun) in fields.iter().zip(&self.pass) {
-            let around = field.expected_beyond(self.sampled, 0.0).map_or(0.0, |all| all.worst);
-            self.around_samples = self.around_samples.max(around);
-            self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
-        }
-        let mut outputs: Vec<&mut dyn Output> = Vec::new();
-        let mut surveys = Vec::new();
-        for Begun { file, diagnostics, .. } in &mut self.pass {
-            outputs.push(file.as_output());
-            surveys.push(diagnostics.as_mut());
-        }
+        let mut fields = self.prepared_fields(&around)?;
         if binding.is_none() || self.how.tolerance.is_some() {
             // Here, on all threads of the pool, and once: homes of vertices beyond a tolerance are looked up,
             // whether a binding has them or not.
@@ -455,9 +448,69 @@ impl<'a> ReconstructionCall<'a> {
         }
         drop(reusing);
         self.sampled.samples.storage().tell_refusal(self.progress);
+
+        let of_vertices = self.rewrite_model(&fields, binding, done)?;
+        self.check_tolerance(&mut fields, &of_vertices)?;
+        self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
+        // Completing the files may have taken a while.
+        self.progress.check()?;
+        let vertices = self.model.info().vertices;
+        let of_samples: Vec<Option<ExpectedError>> =
+            fields.iter().map(|field| field.expected_of_samples(self.sampled, vertices)).collect();
+        drop(fields);
+        let of_vertices = of_vertices.into_iter().map(|vertices| Some(vertices?.expected));
+        self.commit_pass(of_samples.into_iter().zip(of_vertices).map(<[_; 2]>::from).collect())?;
+        // At last, so that it takes no room from the outputs.
+        if is_last && !is_bound && !around.is_kept() {
+            kept_geometry::keep(self.sampled, &around);
+        }
+        Ok(())
+    }
+
+    /// The deformation of each version of the pass, ready for vertices; what the samples tell of folds and
+    /// errors is noted.
+    ///
+    /// # Errors
+    /// More than the tolerance is expected around a sample.
+    fn prepared_fields<'f>(&mut self, around: &'f RestGeometry<'f>) -> Result<Vec<DeformationField<'f>>>
+    where
+        'a: 'f,
+    {
+        let prepared = |begun: &Begun<'a>| {
+            let field = field(self.sampled, self.model, self.how, around, begun.version.deformed);
+            self.check_samples(&field, begun)?;
+            let of_vertices = begun.diagnostics.is_some() || self.how.tolerance.is_some();
+            Ok(if of_vertices { field.expecting_of_vertices() } else { field }.prepared())
+        };
+        let fields: Vec<DeformationField<'f>> = self.pass.iter().map(prepared).collect::<Result<_>>()?;
+        for (field, begun) in fields.iter().zip(&self.pass) {
+            let expected = field.expected_beyond(self.sampled, 0.0).map_or(0.0, |all| all.worst);
+            self.around_samples = self.around_samples.max(expected);
+            self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
+        }
+        Ok(fields)
+    }
+
+    /// Streams the model through the fields to the files of the pass, after the files and pieces that are
+    /// done; returns what the surveys of vertices found for each version.
+    ///
+    /// # Errors
+    /// A file cannot be read or written, the model is not the one that was sampled, or the user cancelled.
+    fn rewrite_model(
+        &mut self,
+        fields: &[DeformationField<'_>],
+        binding: Option<Binding>,
+        (files_done, pieces_done): (u64, u64),
+    ) -> Result<Vec<Option<SurveyedVertices>>> {
+        let mut outputs: Vec<&mut dyn Output> = Vec::new();
+        let mut surveys = Vec::new();
+        for Begun { file, diagnostics, .. } in &mut self.pass {
+            outputs.push(file.as_output());
+            surveys.push(diagnostics.as_mut());
+        }
         let judging = self.how.tolerance.map(|tolerance| (tolerance, self.sampled.samples.len()));
         let transfer = Transfer {
-            fields: &fields,
+            fields,
             frame: &self.sampled.frame,
             hash: Mutex::new(HashedModel::All(VertexHash::like(&self.sampled.source.fingerprint))),
             binding: Mutex::new(binding.zip(self.how.binding)),
@@ -468,8 +521,8 @@ impl<'a> ReconstructionCall<'a> {
         self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
         let how = Rewriting {
             normals: self.how.normals,
-            files_done: done.0,
-            pieces_done: done.1,
+            files_done,
+            pieces_done,
             only: None,
             pieces_at_once: pieces_at_once(self.sampled, fields.len()),
         };
@@ -479,21 +532,7 @@ impl<'a> ReconstructionCall<'a> {
         {
             return Err(self.sampled.source_changed(self.model.path()));
         }
-        let of_vertices = transfer.surveys.finish();
-        self.check_tolerance(&mut fields, &of_vertices)?;
-        self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
-        // Completing the files may have taken a while.
-        self.progress.check()?;
-        let of_samples: Vec<Option<ExpectedError>> =
-            fields.iter().map(|field| field.expected_of_samples(self.sampled, info.vertices)).collect();
-        drop(fields);
-        let of_vertices = of_vertices.into_iter().map(|vertices| Some(vertices?.expected));
-        self.commit_pass(of_samples.into_iter().zip(of_vertices).map(<[_; 2]>::from).collect())?;
-        // At last, so that it takes no room from the outputs.
-        if is_last && !is_bound && !around.is_kept() {
-            kept_geometry::keep(self.sampled, &around);
-        }
-        Ok(())
+        Ok(transfer.surveys.finish())
     }
 
     /// Returns an error where more than the tolerance is expected around any sample, before any vertex is
