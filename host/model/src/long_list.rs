@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Pod;
 use rayon::prelude::*;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::mapped::{self, MapMut};
 use crate::scratch::Scratch;
@@ -211,18 +210,6 @@ impl<T: Pod> DerefMut for LongList<T> {
 impl<T: Pod + fmt::Debug> fmt::Debug for LongList<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self[..].fmt(f)
-    }
-}
-
-impl<T: Pod + Serialize> Serialize for LongList<T> {
-    fn serialize<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
-        self[..].serialize(to)
-    }
-}
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for LongList<T> {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> std::result::Result<Self, D::Error> {
-        Vec::deserialize(from).map(Self::from)
     }
 }
 

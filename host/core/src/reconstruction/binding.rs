@@ -1,26 +1,23 @@
-//! Bindings: the part of a reconstruction that does not depend on the deformation, kept in a file. These are
-//! the neighbours of the samples in P_S, and the home of every vertex. A model that is deformed again and
-//! again is bound to its samples once.
+//! Bindings: the home of every vertex, kept in a file. Homes do not depend on the deformation, and so a model
+//! that is deformed again and again is bound to its samples once. What depends on the samples alone is
+//! [kept](super::kept_geometry) beside them anyway.
 //!
-//! The file begins with eight letters and a version, and the geometry of the samples with a checksum. Then
-//! follow the homes, a part with its own checksum for each chunk that the model is read in: runs of vertices
-//! with the same home, as the difference to the last home and a length.
+//! The file begins with eight letters, a version, and a hash of all that homes depend on. Then follow the
+//! homes, a part with its own checksum for each chunk that the model is read in: runs of vertices with the
+//! same home, as the difference to the last home and a length.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
 use glam::Vec3;
-use serde::Deserialize;
 use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Progress, Result, VertexChunk, input};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
-use super::RestGeometry;
-use super::blend::Supports;
 use super::block::homes;
-use super::sheets::Sheets;
-use crate::fingerprint::{VertexHash, fingerprint};
+use super::{RestGeometry, kept_geometry};
+use crate::fingerprint::VertexHash;
 use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
 use crate::varint::{self, VarintNumbers};
@@ -30,45 +27,30 @@ pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// Version of the format, counted up whenever the format changes, or the key of the same samples, their
 /// sheets, supports or homes.
-const VERSION: u32 = 9;
+const VERSION: u32 = 10;
+
+/// Bytes before the homes: letters, version and hash.
+const HEAD_BYTES: usize = MAGIC.len() + 4 + 16;
 
 /// Largest number of bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
-/// Head of a binding: the geometry of the samples.
-#[derive(Deserialize)]
-struct BindingHead {
-    /// Hash of all that it depends on.
-    key: String,
-    /// Normals, if some had to be estimated.
-    normals: Vec<Vec3>,
-    sheets: Sheets,
-    supports: Supports,
-}
-
-/// Binds a model to its samples: writes `path`, whole or not at all. Returns its size in bytes.
+/// Binds a model to its samples: writes `path`, whole or not at all, and keeps the geometry of the samples
+/// beside them. Returns the size of the binding in bytes.
 ///
-/// Memory: the [`RestGeometry`], twice while they are encoded, and a chunk of the model.
+/// Memory: the [`RestGeometry`], and a chunk of the model.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled, the file cannot be written, or the user cancelled.
 pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &dyn Progress) -> Result<u64> {
     let failed = |e: io::Error| Error::written(path, e);
     progress.begin("preparing", 0);
-    let samples = &sampled.samples;
-    let around = RestGeometry::new(samples);
-    let normals = if samples.knows_normals() { Vec::new() } else { samples.normals().to_vec() };
-    let RestGeometry { sheets, supports, .. } = &around;
-    let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports))
-        .map_err(|e| Error::unwritable(path.display(), e))?;
-
-    let mut file = OutputFile::create(path, head.len() as u64)?;
-    let mut bytes = (MAGIC.len() + 12 + 16 + head.len()) as u64;
-    for part in [&MAGIC[..], &VERSION.to_le_bytes(), &(head.len() as u64).to_le_bytes(), &head] {
-        file.write_all(part).map_err(failed)?;
-    }
-    file.write_all(&xxh3_128(&head).to_le_bytes()).map_err(failed)?;
-    drop(head);
+    let around = RestGeometry::kept(sampled);
+    around.prepare();
+    let head = [&MAGIC[..], &VERSION.to_le_bytes(), &key(sampled).to_le_bytes()].concat();
+    let mut file = OutputFile::create(path, 0)?;
+    let mut bytes = HEAD_BYTES as u64;
+    file.write_all(&head).map_err(failed)?;
 
     progress.begin("binding", model.info().vertex_bytes);
     let mut reader = model.vertices(0..model.info().vertices)?;
@@ -91,11 +73,14 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
         return Err(sampled.source_changed(model.path()));
     }
     file.commit()?;
+    if !around.is_kept() {
+        kept_geometry::keep(sampled, &around);
+    }
     Ok(bytes)
 }
 
-/// Hash of all that a binding depends on.
-fn key(sampled: &SampledModel) -> String {
+/// Hash of all that homes depend on.
+fn key(sampled: &SampledModel) -> u128 {
     let source = &sampled.source;
     let frame = [sampled.frame.origin.x, sampled.frame.origin.y, sampled.frame.origin.z, sampled.frame.scale];
     let texts = [env!("CARGO_PKG_VERSION"), &source.fingerprint].map(str::as_bytes);
@@ -105,7 +90,7 @@ fn key(sampled: &SampledModel) -> String {
     let points = [&samples.positions, samples.known_normals()].map(bytemuck::cast_slice::<Vec3, u8>);
     let hashes = [texts, numbers, points].into_iter().flatten().map(xxh3_128);
     let hashes = hashes.chain(samples.contacts().map(Contacts::digest));
-    fingerprint(xxh3_128(&hashes.flat_map(u128::to_le_bytes).collect::<Vec<_>>()))
+    xxh3_128(&hashes.flat_map(u128::to_le_bytes).collect::<Vec<_>>())
 }
 
 fn encode(homes: &[u32], runs: &mut Vec<u8>) {
@@ -142,50 +127,22 @@ pub(super) struct Binding {
 
 impl Binding {
     /// Opens the binding of a sampled model, if there is one; the error says why it is of no use.
-    pub(super) fn open<'a>(
-        path: &Path,
-        sampled: &'a SampledModel,
-    ) -> std::result::Result<Option<(Self, RestGeometry<'a>)>, String> {
+    pub(super) fn open(path: &Path, sampled: &SampledModel) -> std::result::Result<Option<Self>, String> {
         if !path.exists() {
             return Ok(None);
         }
         let file = input::open(path).map_err(|e| e.to_string())?;
-        let length = file.metadata().map_err(|e| e.to_string())?.len();
         let mut file = BufReader::with_capacity(1 << 18, file);
-        let cut_off = |_| "it is cut off".to_owned();
-        let mut start = [0; MAGIC.len() + 12];
-        file.read_exact(&mut start).map_err(cut_off)?;
-        let (magic, rest) = start.split_at(MAGIC.len());
-        let (version, bytes) = rest.split_at(4);
-        if (magic, version) != (&MAGIC[..], &VERSION.to_le_bytes()[..]) {
+        let mut head = [0; HEAD_BYTES];
+        file.read_exact(&mut head).map_err(|_| "it is cut off".to_owned())?;
+        let (start, of) = head.split_at(MAGIC.len() + 4);
+        if start != [&MAGIC[..], &VERSION.to_le_bytes()].concat() {
             return Err("it is of another version".to_owned());
         }
-        let bytes = u64::from_le_bytes(bytes.try_into().unwrap_or_default());
-        if bytes > length {
-            return Err("it is cut off".to_owned());
-        }
-        let mut head = vec![0; bytes as usize];
-        file.read_exact(&mut head).map_err(cut_off)?;
-        let mut checksum = [0; 16];
-        file.read_exact(&mut checksum).map_err(cut_off)?;
-        if xxh3_128(&head) != u128::from_le_bytes(checksum) {
-            return Err("its checksum is wrong".to_owned());
-        }
-        let head: BindingHead = postcard::from_bytes(&head).map_err(|e| e.to_string())?;
-        let samples = &sampled.samples;
-        if head.key != key(sampled) {
+        if of != key(sampled).to_le_bytes() {
             return Err("it belongs to other samples".to_owned());
         }
-        let n = samples.len();
-        let is_valid = head.sheets.is_valid(n) && head.supports.is_valid(n);
-        if !is_valid
-            || !samples.set_neighbours(head.sheets.graph().clone())
-            || !samples.set_normals(head.normals)
-        {
-            return Err("its numbers make no sense".to_owned());
-        }
-        let around = RestGeometry::known(samples, head.sheets, head.supports);
-        Ok(Some((Self { file, samples: n, bytes: Vec::new() }, around)))
+        Ok(Some(Self { file, samples: sampled.samples.len(), bytes: Vec::new() }))
     }
 
     /// The homes of the next vertices, which are a chunk.

@@ -17,7 +17,6 @@ use std::ops::Range;
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use simod_model::long_list::{ListStorage, LongList};
 
 use super::expansion::{Expansion, ReachingSupport};
@@ -46,7 +45,7 @@ pub const LEAST_WEIGHT: f32 = 1e-6;
 /// For each sample, the supports that reach the vertices of which it is the home.
 ///
 /// Memory: about 30 supports of 8 bytes per sample, and room for a few more.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug)]
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
@@ -98,17 +97,6 @@ impl Supports {
             }
         });
         Self { radius, ranging, starts, ends, reaching }
-    }
-
-    /// Whether all lists fit a set of `samples`: supports that were read from a file may be damaged.
-    pub fn is_valid(&self, samples: usize) -> bool {
-        self.radius.len() == samples
-            && self.ranging.len() == samples
-            && self.starts.len() == samples
-            && self.ends.len() == samples
-            && self.starts.iter().zip(&self.ends).all(|(start, end)| start <= end)
-            && self.ends.iter().all(|end| *end as usize <= self.reaching.len())
-            && self.reaching.pass().all(|r| (r.sample as usize) < samples)
     }
 
     /// Bytes of the lists of so many homes, about.

@@ -2,7 +2,6 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat3, Vec3, Vec4};
-use serde::{Deserialize, Serialize};
 
 /// Residual that rounding to single precision may leave, in local units.
 pub const ROUNDING: f64 = 5e-7;
@@ -143,7 +142,7 @@ impl Expansion {
 }
 
 /// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct ReachingSupport {
     /// Vertices nearer to the home's sample than this are not reached.

@@ -12,7 +12,6 @@
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use super::lanes::{Lanes, triple};
 use crate::counting_sort;
@@ -53,7 +52,7 @@ pub type Listed = (u32, Vec<u32>);
 ///
 /// Memory: beside the graph, 4 bytes per sample, and at most 132 for each near which there is another sheet;
 /// where faces have told sheets apart, 4 more, and 128 for each sample near which they meet.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug)]
 pub struct Sheets {
     /// The nearest samples in space: those of most samples are all on the sheet.
     graph: NeighbourGraph,

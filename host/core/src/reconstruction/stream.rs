@@ -438,8 +438,8 @@ impl<'a> ReconstructionCall<'a> {
 
         self.progress.begin("preparing", 0);
         let reusing = Reusing::begin();
-        let (binding, around) = self.rest_geometry();
-        let is_bound = binding.is_some();
+        let around = RestGeometry::kept(self.sampled);
+        let binding = self.open_binding();
         let mut fields = self.prepared_fields(&around)?;
         if binding.is_none() || self.how.tolerance.is_some() {
             // Here, on all threads of the pool, and once: homes of vertices beyond a tolerance are looked up,
@@ -461,7 +461,7 @@ impl<'a> ReconstructionCall<'a> {
         let of_vertices = of_vertices.into_iter().map(|vertices| Some(vertices?.expected));
         self.commit_pass(of_samples.into_iter().zip(of_vertices).map(<[_; 2]>::from).collect())?;
         // At last, so that it takes no room from the outputs.
-        if is_last && !is_bound && !around.is_kept() {
+        if is_last && !around.is_kept() {
             kept_geometry::keep(self.sampled, &around);
         }
         Ok(())
@@ -585,18 +585,13 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// The geometry at rest: as a binding has it, or as it is [kept](RestGeometry::kept).
-    fn rest_geometry(&self) -> (Option<Binding>, RestGeometry<'a>) {
-        if let Some(path) = self.how.binding {
-            match Binding::open(path, self.sampled) {
-                Ok(Some((binding, geometry))) => {
-                    return (Some(binding), geometry);
-                }
-                Ok(None) => {}
-                Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
-            }
-        }
-        (None, RestGeometry::kept(self.sampled))
+    /// The binding, if there is one that is of use; why another is not is told.
+    fn open_binding(&self) -> Option<Binding> {
+        let path = self.how.binding?;
+        Binding::open(path, self.sampled).unwrap_or_else(|why| {
+            self.progress.note(&format!("{} is not used: {why}", path.display()));
+            None
+        })
     }
 
     /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part

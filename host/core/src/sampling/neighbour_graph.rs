@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
 use simod_model::long_list::{ListStorage, LongList};
 
 use super::kd_tree::KdTree;
@@ -10,7 +9,7 @@ use super::kd_tree::KdTree;
 /// The k nearest neighbours of each sample, nearest first, without the sample itself.
 ///
 /// Memory: 4 bytes for each neighbour, which clones have in common.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default)]
 pub struct NeighbourGraph {
     k: usize,
     flat: Arc<LongList<u32>>,

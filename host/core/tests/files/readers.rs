@@ -233,13 +233,8 @@ fn refit_binding(bytes: &mut [u8]) {
     let word = |bytes: &[u8], at: usize| -> Option<usize> {
         Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?) as usize)
     };
-    let Some(head) = word(bytes, 12) else { return };
-    let Some(mut at) = head.checked_add(20).filter(|end| end.saturating_add(16) <= bytes.len()) else {
-        return;
-    };
-    let hash = xxh3_128(&bytes[20..at]).to_le_bytes();
-    bytes[at..at + 16].copy_from_slice(&hash);
-    at += 16;
+    // Behind the letters, the version, and the hash of what it depends on.
+    let mut at = 28;
     while let Some(length) = word(bytes, at + 4) {
         let (start, end) = (at + 16, (at + 16).saturating_add(length));
         let Some(hash) = bytes.get(start..end).map(xxh3_64) else { return };
