@@ -4,6 +4,7 @@ use glam::DVec3;
 use simod_tests::{MANY, Workplace};
 
 const BINDING: &str = "model.simod/binding.bin";
+const REST: &str = "model.simod/rest.bin";
 
 /// A sampled model, and its deformation without a binding for each method.
 fn sampled(options: &str) -> (Workplace, Vec<Vec<u8>>) {
@@ -27,7 +28,10 @@ fn methods(work: &Workplace) -> Vec<Vec<u8>> {
 fn gives_the_same_bytes() {
     for options in ["", "--no-normals", "--encoding ascii --double", "--shape bumpy-sphere"] {
         let (work, expected) = sampled(options);
+        let rest = work.read(REST);
+        std::fs::remove_file(work.path(REST)).expect("a file");
         let report = work.report("bind model.simod");
+        assert!(work.read(REST) == rest, "{options}: the samples' geometry is kept as well");
         assert_eq!(report["vertices"], MANY / 10, "{options}");
         assert_eq!(report["bytes"], work.read(BINDING).len() as u64, "{options}");
         assert!(methods(&work) == expected, "{options}");

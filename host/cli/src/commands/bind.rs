@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::guard::OutputKind;
-use simod_core::reconstruction::bind;
+use simod_core::reconstruction::{bind, keep_geometry};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::claim::Claim;
 use simod_model::{ErrorKind, Result};
@@ -16,8 +16,9 @@ use crate::report::{Report, count};
 
 /// Write the part of a reconstruction that is the same for every deformation
 ///
-/// It is kept as `binding.bin` in the folder of the sampled model. `simod reconstruct` uses it by itself, and
-/// takes less time with it: for models that are reconstructed again and again.
+/// The home of each vertex is kept as `binding.bin` in the folder of the sampled model, and what follows from
+/// the samples alone as `rest.bin`. `simod reconstruct` uses both by itself, and takes less time with them:
+/// for models that are reconstructed again and again.
 #[derive(Args)]
 pub struct Bind {
     /// Folder of the sampled model, to which `binding.bin` is added
@@ -33,7 +34,7 @@ pub struct Bind {
 impl Bind {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         // The samples stay the same as long as the model is being bound.
-        let _claim = match Claim::folder(&self.sampled) {
+        let claim = match Claim::folder(&self.sampled) {
             // A folder beside which nothing can be written is replaced by nobody, so no claim is needed.
             Err(e) if e.kind() == ErrorKind::Io => None,
             claim => Some(claim?),
@@ -46,6 +47,8 @@ impl Bind {
         guard.reads_all(sampled.source.files());
         guard.writes(&path, OutputKind::Binding)?;
         let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
+        drop(claim);
+        keep_geometry(&sampled);
         report.figure("vertices", model.info().vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("bytes", bytes);

@@ -15,8 +15,8 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Progress, Result, VertexChunk, input};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
+use super::RestGeometry;
 use super::block::homes;
-use super::{RestGeometry, kept_geometry};
 use crate::fingerprint::VertexHash;
 use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
@@ -35,8 +35,8 @@ const HEAD_BYTES: usize = MAGIC.len() + 4 + 16;
 /// Largest number of bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
-/// Binds a model to its samples: writes `path`, whole or not at all, and keeps the geometry of the samples
-/// beside them. Returns the size of the binding in bytes.
+/// Binds a model to its samples: writes `path`, whole or not at all. Returns its size in bytes. The geometry
+/// of the samples, which is found for it, is held with these, and may be [kept](super::keep_geometry).
 ///
 /// Memory: the [`RestGeometry`], and a chunk of the model.
 ///
@@ -73,9 +73,6 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
         return Err(sampled.source_changed(model.path()));
     }
     file.commit()?;
-    if !around.is_kept() {
-        kept_geometry::keep(sampled, &around);
-    }
     Ok(bytes)
 }
 

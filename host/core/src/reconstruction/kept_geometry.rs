@@ -113,6 +113,14 @@ pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
     Some(around)
 }
 
+/// Keeps the geometry that is held with a model's samples in their folder, for later reconstructions, unless
+/// it is there. It is left out where another process has the folder, or it cannot be written.
+pub fn keep_geometry(sampled: &SampledModel) {
+    if let Some(around) = RestGeometry::held(&sampled.samples).filter(|around| !around.is_kept()) {
+        keep(sampled, &around);
+    }
+}
+
 /// Keeps it in the folder that the samples are from, if there is one, and as far as that can be written.
 ///
 /// Memory: 110 bytes for each sample of [`AT_ONCE`] pieces, some 30 MB; for each sample of all one byte for

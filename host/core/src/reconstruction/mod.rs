@@ -76,6 +76,7 @@ pub use field::DeformationField;
 use gradients::Gradients;
 pub(crate) use homes::RING as TANGENT_RING;
 pub use judging::{BeyondTolerance, ExactSample, JudgedVertices, judge};
+pub use kept_geometry::keep_geometry;
 pub use parts::{Part, SharedTarget, abort_object, begin_object, join_parts, write_part};
 pub use reach::choose_offset;
 pub use rest_geometry::RestGeometry;
