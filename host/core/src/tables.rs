@@ -62,9 +62,9 @@ impl serde::de::Error for TableError {
     }
 
     fn invalid_type(found: Unexpected<'_>, wanted: &dyn Expected) -> Self {
-        let told =
-            format!("{} stands where {} is wanted", name_found(found), name_wanted(&wanted.to_string()));
-        Self::new(match (found, wanted.to_string().as_str()) {
+        let wanted = wanted.to_string();
+        let told = format!("{} stands where {} is wanted", name_found(found), name_wanted(&wanted));
+        Self::new(match (found, wanted.as_str()) {
             (Unexpected::Map, "a sequence") => format!("{told}, in which each table begins with `[[...]]`"),
             _ => told,
         })

@@ -47,6 +47,7 @@ impl Bind {
         guard.reads_all(sampled.source.files());
         guard.writes(&path, OutputKind::Binding)?;
         let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
+        // Keeping the geometry claims the folder by itself.
         drop(claim);
         keep_geometry(&sampled);
         report.figure("vertices", model.info().vertices);

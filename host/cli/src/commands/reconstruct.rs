@@ -180,15 +180,16 @@ impl Reconstruct {
         };
         let tolerance = self.checked_tolerance(&sampled, model.as_ref())?;
         let judges_first = self.judges_first(paths.len());
-        if let Some(fraction) = tolerance.filter(|_| judges_first) {
-            self.judge_first(fraction, (&sampled, model.as_ref()), &paths, &deformed, report)?;
-        }
+        let judge =
+            |fraction| self.judge_first(fraction, (&sampled, model.as_ref()), &paths, &deformed, report);
+        let judged = tolerance.filter(|_| judges_first).map(judge).transpose()?;
         // Nothing is judged twice.
         let how = Reconstruction { tolerance: tolerance.filter(|_| !judges_first), ..how };
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())
             .map_err(|error| self.advising(error, tolerance, &sampled, &paths))?;
         if let Some(fraction) = tolerance {
-            let figures = json!({"fraction": fraction, "expected": done.around_samples});
+            let expected = judged.unwrap_or(done.around_samples);
+            let figures = json!({"fraction": fraction, "expected": expected});
             let lengths = with_lengths(figures, &["fraction", "expected"], sampled.bounds.diagonal());
             report.figure("tolerance", lengths);
         }
@@ -294,7 +295,7 @@ impl Reconstruct {
     }
 
     /// Returns an error where more than the tolerance is expected around any sample of a version, or of any
-    /// vertex, before anything is written.
+    /// vertex, before anything is written; otherwise the largest error that is expected around a sample.
     fn judge_first(
         &self,
         tolerance: f64,
@@ -302,10 +303,10 @@ impl Reconstruct {
         paths: &[VersionPaths],
         deformed: &[DeformedPositions],
         report: &mut Report,
-    ) -> Result<()> {
+    ) -> Result<f64> {
         let (sampled, model) = of;
         report.progress().begin("estimating the error", 0);
-        let around = RestGeometry::kept(sampled);
+        let (around, mut most) = (RestGeometry::kept(sampled), 0.0f64);
         for (version, deformed) in deformed.iter().enumerate() {
             report.progress().check()?;
             let field = DeformationField::from_deformed(&around, deformed, self.method.into())
@@ -313,17 +314,17 @@ impl Reconstruct {
             if let Some(beyond) = BeyondTolerance::by_samples(version, &field, sampled, tolerance) {
                 return Err(self.refusal(tolerance, sampled, paths, &beyond));
             }
+            most = most.max(field.most_expected(sampled));
             let mut field = field.expecting_of_vertices();
             let judged = judge(model, &field, sampled, tolerance, None, report.progress())?;
             if judged.beyond > 0
                 && let Some(beyond) = field.learn(sampled, &judged, tolerance)
             {
-                let (vertices, needed) = (Some(judged.beyond), beyond.needed);
-                let beyond = BeyondTolerance { version, vertices, beyond, needed };
+                let beyond = BeyondTolerance::by_vertices(version, judged.beyond, beyond);
                 return Err(self.refusal(tolerance, sampled, paths, &beyond));
             }
         }
-        Ok(())
+        Ok(most)
     }
 
     /// Error with advice, where it is that vertices are expected to be off by more than the tolerance.

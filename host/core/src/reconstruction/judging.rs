@@ -55,6 +55,11 @@ impl BeyondTolerance {
         let needed = field.expected_beyond(of, Self::ADVISED * tolerance).map_or(0, |all| all.needed);
         Some(Self { version, vertices: None, beyond, needed })
     }
+
+    /// Excess around the samples of a version, by what was found at so many vertices.
+    pub fn by_vertices(version: usize, vertices: u64, beyond: ErrorExcess) -> Self {
+        Self { version, vertices: Some(vertices), beyond, needed: beyond.needed }
+    }
 }
 
 impl fmt::Display for BeyondTolerance {
@@ -268,6 +273,11 @@ impl DeformationField<'_> {
         accepted: f64,
     ) -> Option<ErrorExcess> {
         self.learn_excess(of, &judged.around, accepted, judged.expected.worst)
+    }
+
+    /// Largest error that is expected around a sample, a fraction of the diagonal.
+    pub fn most_expected(&self, of: &SampledModel) -> f64 {
+        self.expected_beyond(of, 0.0).map_or(0.0, |all| all.worst)
     }
 
     /// Raises the expected error around each sample (local units), and returns the excess over what is

@@ -137,8 +137,8 @@ pub struct Reconstructed {
     /// Expected error of each version; `None` for those that an earlier call had finished, and for another
     /// method than blended jets without diagnostics. Vertices that an earlier call wrote are not counted.
     pub expected: Vec<Option<ExpectedError>>,
-    /// Largest error that is expected around a sample of any version, a fraction of the diagonal; 0 of those
-    /// that an earlier call had finished, and of exact images.
+    /// Largest error that is expected around a sample of any version, a fraction of the diagonal; 0 where no
+    /// tolerance is given, of versions that an earlier call had finished, and of exact images.
     pub around_samples: f64,
     /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written
     /// as one [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
@@ -484,8 +484,9 @@ impl<'a> ReconstructionCall<'a> {
         };
         let fields: Vec<DeformationField<'f>> = self.pass.iter().map(prepared).collect::<Result<_>>()?;
         for (field, begun) in fields.iter().zip(&self.pass) {
-            let expected = field.expected_beyond(self.sampled, 0.0).map_or(0.0, |all| all.worst);
-            self.around_samples = self.around_samples.max(expected);
+            if self.how.tolerance.is_some() {
+                self.around_samples = self.around_samples.max(field.most_expected(self.sampled));
+            }
             self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
         }
         Ok(fields)
@@ -556,8 +557,8 @@ impl<'a> ReconstructionCall<'a> {
             let (around, worst) = (&vertices.around, vertices.expected.worst);
             let beyond = field.learn_excess(self.sampled, around, tolerance, worst);
             let Some(beyond) = beyond else { continue };
-            let (version, vertices, needed) = (begun.number, Some(vertices.beyond), beyond.needed);
-            return Err(not_written(&begun.version, BeyondTolerance { version, vertices, beyond, needed }));
+            let beyond = BeyondTolerance::by_vertices(begun.number, vertices.beyond, beyond);
+            return Err(not_written(&begun.version, beyond));
         }
         Ok(())
     }
